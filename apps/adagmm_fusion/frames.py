@@ -41,7 +41,8 @@ def checked_rigid_transformation(transformation, name: str, *, tolerance: float 
             f"{name}: the upper left 3x3 block is not a rotation: {off:.2g} from one, determinant {determinant:.4g}; "
             "check the rows' order and that it is not scaled or mirrored"
         )
-    T[:3, :3] = rotation
+    if off > 1e-12:  # else it keeps its very bits, so that files can be written and read again unchanged
+        T[:3, :3] = rotation
     T[3] = (0.0, 0.0, 0.0, 1.0)
     return T
 

@@ -1,0 +1,57 @@
+"""The formulas of the pair loop, written once and compiled for every device.
+
+`build(jit)` compiles them with the decorator of one device: `numba.njit` on the CPU, `cuda.jit(device=True)` on a GPU.
+They hold no float literal, so the arithmetic has the type of the arguments. Symmetric 3x3 matrices are packed as
+(xx, xy, xz, yy, yz, zz). 2D is the plane z = 0: the entries with a z are zero and so are all sums over them.
+"""
+
+from types import SimpleNamespace
+
+
+def build(jit):
+    """The formulas, compiled by `jit`, as a namespace."""
+
+    @jit
+    def symmetric_product(p0, p1, p2, p3, p4, p5, x, y, z):
+        """P · (x, y, z) for a packed symmetric P."""
+        return p0 * x + p1 * y + p2 * z, p1 * x + p3 * y + p4 * z, p2 * x + p4 * y + p5 * z
+
+    @jit
+    def dot(ax, ay, az, bx, by, bz):
+        return ax * bx + ay * by + az * bz
+
+    @jit
+    def cross(ax, ay, az, bx, by, bz):
+        return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+
+    @jit
+    def rotate_point(r, x, y, z):
+        """R · (x, y, z) + t for `r` = (12,), the rows of [R | t]."""
+        return (
+            r[0] * x + r[1] * y + r[2] * z + r[3],
+            r[4] * x + r[5] * y + r[6] * z + r[7],
+            r[8] * x + r[9] * y + r[10] * z + r[11],
+        )
+
+    @jit
+    def rotate_symmetric(r, p0, p1, p2, p3, p4, p5):
+        """R · P · Rᵀ for a packed symmetric P."""
+        a0, a1, a2 = symmetric_product(p0, p1, p2, p3, p4, p5, r[0], r[1], r[2])
+        b0, b1, b2 = symmetric_product(p0, p1, p2, p3, p4, p5, r[4], r[5], r[6])
+        c0, c1, c2 = symmetric_product(p0, p1, p2, p3, p4, p5, r[8], r[9], r[10])
+        return (
+            dot(r[0], r[1], r[2], a0, a1, a2),
+            dot(r[0], r[1], r[2], b0, b1, b2),
+            dot(r[0], r[1], r[2], c0, c1, c2),
+            dot(r[4], r[5], r[6], b0, b1, b2),
+            dot(r[4], r[5], r[6], c0, c1, c2),
+            dot(r[8], r[9], r[10], c0, c1, c2),
+        )
+
+    return SimpleNamespace(
+        symmetric_product=symmetric_product,
+        dot=dot,
+        cross=cross,
+        rotate_point=rotate_point,
+        rotate_symmetric=rotate_symmetric,
+    )

@@ -1,0 +1,232 @@
+"""A point cloud as a Gaussian mixture: one component per point, checked at the door and brought to a common scale."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .errors import DegenerateError, InputError, InputTypeError
+
+Array = NDArray[np.float64]
+
+MIN_POINTS = 3
+# A sensor model may fail at a point now and then (the Kinect data has one in thousands); more is a mistake upstream.
+MAX_NONFINITE_SHARE = 0.01
+# A variance this many times the median is a flag, not a measurement.
+VAGUE = 10.0
+PACKED = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """Points, covariances and weights of one cloud, float64; 2D lies in the plane z = 0.
+
+    points : (n, 3).   covariances : (n, 3, 3), positive definite (in 2D the block xx, xy, yy; zz is 1).
+    weights : (n,) > 0.   dimension : 2 or 3.   isotropic : every covariance is a multiple of the identity.
+    dropped : how many input points had a non-finite covariance and are not in the mixture.
+    """
+
+    points: Array
+    covariances: Array
+    weights: Array
+    dimension: int
+    isotropic: bool
+    dropped: int = 0
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def take(self, index: NDArray) -> Mixture:
+        """The mixture of the chosen components."""
+        return Mixture(
+            self.points[index], self.covariances[index], self.weights[index], self.dimension, self.isotropic, self.dropped
+        )
+
+    def variances(self) -> Array:
+        """(n,) geometric mean of the principal variances, |Σ|^(1/D): one number for how vague a point is."""
+        if self.isotropic:
+            return self.covariances[:, 0, 0].copy()
+        return np.linalg.det(self.covariances) ** (1.0 / self.dimension)
+
+    def packed_precisions(self) -> Array:
+        """(6, n) inverse covariances, packed as xx, xy, xz, yy, yz, zz; in 2D what has a z is zero."""
+        precisions = np.linalg.inv(self.covariances)
+        if self.dimension == 2:
+            precisions[:, 2, 2] = 0.0
+        return np.stack([precisions[:, i, j] for i, j in PACKED])
+
+    def largest_variances(self) -> Array:
+        """(n,) the largest eigenvalue of each covariance: how far the point reaches."""
+        if self.isotropic:
+            return self.covariances[:, 0, 0].copy()
+        return np.linalg.eigvalsh(self.covariances[:, : self.dimension, : self.dimension])[:, -1]
+
+
+def make_mixture(name: str, points: ArrayLike, covariances: ArrayLike | None, weights: ArrayLike | None = None) -> Mixture:
+    """Check one cloud and lift it into three dimensions.
+
+    Parameters
+    ----------
+    name : "source" or "target"; begins every error message.
+    points : (n, D), D = 2 or 3, any real dtype.   covariances : (n, D, D), or None for the identity at every point.
+    weights : (n,) positive, or None for ones.
+
+    Raises
+    ------
+    InputTypeError : not real numbers.   InputError : shape, non-finite points, covariances that are not symmetric
+    positive definite, or non-finite at more than 1 % of the points (fewer are dropped and counted).
+    DegenerateError : fewer than 3 points, or all on one line (3D) or in one place (2D).
+    """
+    p = _real_array(f"{name}.points", points)
+    if p.ndim != 2 or p.shape[1] not in (2, 3):
+        raise InputError(f"{name}.points: expected shape (n, 2) or (n, 3), got {p.shape}")
+    n, dimension = p.shape
+    if n == 0:
+        raise InputError(f"{name}.points: the cloud is empty; registration needs at least {MIN_POINTS} points")
+    if not np.isfinite(p).all():
+        bad = np.flatnonzero(~np.isfinite(p).all(axis=1))
+        raise InputError(
+            f"{name}.points: {len(bad)} of {n} points are not finite, the first at index {bad[0]}; "
+            "remove them first, e.g. with PointCloud.remove_non_finite_points()"
+        )
+    c = _check_covariances(name, covariances, n, dimension)
+    w = _check_weights(name, weights, n)
+    usable = np.isfinite(c).all(axis=(1, 2))
+    dropped = int(n - usable.sum())
+    if dropped > MAX_NONFINITE_SHARE * n:
+        first = int(np.flatnonzero(~usable)[0])
+        raise InputError(
+            f"{name}.covariances: {dropped} of {n} are not finite, the first at index {first}; "
+            f"at most {MAX_NONFINITE_SHARE:.0%} may be (those points are ignored)"
+        )
+    p, c, w = p[usable], c[usable], w[usable]
+    isotropic = _check_positive_definite(name, c, usable)
+    if len(p) < MIN_POINTS:
+        raise DegenerateError(f"{name}.points: {len(p)} points cannot fix a pose; at least {MIN_POINTS} are needed")
+    _check_spread(name, p)
+    if dimension == 2:
+        p, c = _lift(p, c)
+    return Mixture(np.ascontiguousarray(p), np.ascontiguousarray(c), w, dimension, isotropic, dropped)
+
+
+def _real_array(name: str, values: ArrayLike) -> Array:
+    try:
+        array = np.asarray(values)
+    except ValueError as error:
+        raise InputTypeError(f"{name}: expected an array of real numbers, got {type(values).__name__} ({error})") from None
+    if array.dtype.kind not in "fiu":
+        raise InputTypeError(f"{name}: expected an array of real numbers, got dtype {array.dtype}")
+    return array.astype(np.float64)
+
+
+def _check_covariances(name: str, covariances: ArrayLike | None, n: int, dimension: int) -> Array:
+    if covariances is None:
+        return np.broadcast_to(np.eye(dimension), (n, dimension, dimension)).copy()
+    c = _real_array(f"{name}.covariances", covariances)
+    if c.shape != (n, dimension, dimension):
+        raise InputError(
+            f"{name}.covariances: expected shape ({n}, {dimension}, {dimension}) to match the points, got {c.shape}"
+        )
+    return c
+
+
+def _check_weights(name: str, weights: ArrayLike | None, n: int) -> Array:
+    if weights is None:
+        return np.ones(n)
+    w = _real_array(f"{name}.weights", weights)
+    if w.shape != (n,):
+        raise InputError(f"{name}.weights: expected shape ({n},) to match the points, got {w.shape}")
+    if not (np.isfinite(w).all() and (w > 0).all()):
+        first = int(np.flatnonzero(~(np.isfinite(w) & (w > 0)))[0])
+        raise InputError(f"{name}.weights: expected finite numbers above zero, got {w[first]} at index {first}")
+    return w
+
+
+def _check_positive_definite(name: str, c: Array, usable: NDArray[np.bool_]) -> bool:
+    """Raise unless every covariance is symmetric positive definite; returns whether all are isotropic."""
+    index = np.flatnonzero(usable)
+    dimension = c.shape[1]
+    diagonal = np.einsum("nii->ni", c)
+    off = c[:, ~np.eye(dimension, dtype=bool)]
+    if (off == 0).all() and (diagonal == diagonal[:, :1]).all():
+        bad = np.flatnonzero(diagonal[:, 0] <= 0)
+        isotropic = True
+    else:
+        scale = np.abs(c).max(axis=(1, 2))
+        skew = np.abs(c - c.transpose(0, 2, 1)).max(axis=(1, 2))
+        crooked = np.flatnonzero(skew > 1e-5 * scale)
+        if len(crooked):
+            raise InputError(f"{name}.covariances: not symmetric at index {index[crooked[0]]} ({len(crooked)} in all)")
+        c += c.transpose(0, 2, 1)
+        c *= 0.5
+        eigenvalues = np.linalg.eigvalsh(c)
+        bad = np.flatnonzero(eigenvalues[:, 0] <= 1e-12 * eigenvalues[:, -1])
+        isotropic = False
+    if len(bad):
+        raise InputError(
+            f"{name}.covariances: not positive definite at index {index[bad[0]]} ({len(bad)} in all); "
+            "add a small multiple of the identity"
+        )
+    return isotropic
+
+
+def _check_spread(name: str, p: Array) -> None:
+    """Points in one place leave the rotation free; in 3D so do points on one line."""
+    centred = p - p.mean(axis=0)
+    spread = np.linalg.svd(centred, compute_uv=False) if len(p) < 50 else np.sqrt(np.linalg.eigvalsh(centred.T @ centred)[::-1])
+    rank = int((spread > 1e-7 * max(spread[0], 1e-12 * np.abs(p).max())).sum()) if spread[0] > 0 else 0
+    if rank < p.shape[1] - 1:
+        shape = "in one place" if rank == 0 else "on one line"
+        raise DegenerateError(f"{name}.points: all {len(p)} points are {shape}; a pose cannot be found")
+
+
+def _lift(p: Array, c: Array) -> tuple[Array, Array]:
+    points, covariances = np.zeros((len(p), 3)), np.zeros((len(p), 3, 3))
+    points[:, :2], covariances[:, :2, :2] = p, c
+    covariances[:, 2, 2] = 1.0
+    return points, covariances
+
+
+@dataclass(frozen=True)
+class Normalisation:
+    """The similarity that brings both clouds to their centroids and to unit radius (the paper, Section 4.1).
+
+    Normalised p is (p - centre) / scale; `scale` is the larger of the two RMS radii [input units].
+    """
+
+    source_centre: Array
+    target_centre: Array
+    scale: float
+
+    def pose_in(self, transformation: Array) -> Array:
+        """(4, 4) input pose → the same pose between normalised clouds."""
+        pose = transformation.copy()
+        moved = transformation[:3, :3] @ self.source_centre + transformation[:3, 3]
+        pose[:3, 3] = (moved - self.target_centre) / self.scale
+        return pose
+
+    def pose_out(self, pose: Array) -> Array:
+        """(4, 4) or (k, 4, 4) poses between normalised clouds → the same between the input clouds."""
+        out = pose.copy()
+        out[..., :3, 3] = pose[..., :3, 3] * self.scale + self.target_centre - pose[..., :3, :3] @ self.source_centre
+        return out
+
+
+def normalise(source: Mixture, target: Mixture) -> tuple[Mixture, Mixture, Normalisation]:
+    """Both mixtures with their own centroid at the origin and the larger RMS radius 1; covariances untouched.
+
+    Points far vaguer than the rest (flagged outliers) hardly count for centroid and radius.
+    """
+    weights = [m.weights * np.minimum(1.0, VAGUE * np.median(v) / v) for m in (source, target) for v in (m.variances(),)]
+    centres = [np.average(m.points, axis=0, weights=w) for m, w in zip((source, target), weights, strict=True)]
+    radii = [
+        np.sqrt(np.average(((m.points - c) ** 2).sum(axis=1), weights=w))
+        for m, c, w in zip((source, target), centres, weights, strict=True)
+    ]
+    scale = float(max(radii))
+    parts = []
+    for m, c in zip((source, target), centres, strict=True):
+        parts.append(Mixture((m.points - c) / scale, m.covariances, m.weights, m.dimension, m.isotropic, m.dropped))
+    return parts[0], parts[1], Normalisation(centres[0], centres[1], scale)

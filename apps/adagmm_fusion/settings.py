@@ -1,0 +1,43 @@
+"""Everything a run can be told, in one place, checked when it is made."""
+
+from dataclasses import dataclass
+
+from adagmm_o3d.errors import InputError
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How pairs are registered, and when a registration counts as a success.
+
+    sensor_model : how the points' covariances are made; see adagmm_fusion.clouds.
+    voxel_size_m : edge of the averaging voxel grid [m]; None chooses it so that the clouds have about target_points.
+    target_points : points per cloud aimed at when the voxel size is chosen; the paper used 3000 to 4000.
+    max_depth_m : farther measurements are ignored [m].
+    partner_distance_m : how near two points must be to count as partners in fitness, inlier RMSE and overlap [m];
+        None is 1.5 voxels.
+    max_iteration : EM iterations at most; None is the plugin's own default.
+    device : "auto", "cpu" or "cuda".
+    max_rotation_error_deg, max_translation_error_mm : with ground truth, a pair succeeded up to these errors.
+    min_overlap : without ground truth, a pair succeeded if its estimate is trustworthy and overlaps this much.
+    """
+
+    sensor_model: str = "kinect"
+    voxel_size_m: float | None = None
+    target_points: int = 3500
+    max_depth_m: float = 5.0
+    partner_distance_m: float | None = None
+    max_iteration: int | None = None
+    device: str = "auto"
+    max_rotation_error_deg: float = 3.0
+    max_translation_error_mm: float = 100.0
+    min_overlap: float = 0.3
+
+    def __post_init__(self) -> None:
+        positive = ("target_points", "max_depth_m", "max_rotation_error_deg", "max_translation_error_mm")
+        optional = ("voxel_size_m", "partner_distance_m", "max_iteration")
+        for name in positive + optional:
+            value = getattr(self, name)
+            if not (value is None and name in optional) and not (value is not None and 0 < value < float("inf")):
+                raise InputError(f"{name}: expected a positive number, got {value}")
+        if not 0 <= self.min_overlap <= 1:
+            raise InputError(f"min_overlap: expected a share between 0 and 1, got {self.min_overlap}")

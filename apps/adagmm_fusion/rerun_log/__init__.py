@@ -1,0 +1,33 @@
+"""Registrations for the Rerun viewer: did it work, how well, and if not, why.
+
+Each function logs one thing to the RecordingStream it is given; the blueprint is a value. In short:
+
+    with open_stream(args, name, dashboard(many_pairs=True)) as rec:
+        em_step = 0
+        for i, pair in enumerate(recording):
+            ...
+            em_step = log_pair(rec, pair, source_cloud, target_cloud, estimate, frame_index=i, em_step=em_step)
+        log_recording_summary(rec, rows)
+"""
+
+from adagmm_fusion.rerun_log.blueprint import Eye, dashboard, send_blueprint
+from adagmm_fusion.rerun_log.iterations import log_estimate_iterations
+from adagmm_fusion.rerun_log.pair import log_pair
+from adagmm_fusion.rerun_log.streams import add_rerun_arguments, open_stream
+from adagmm_fusion.rerun_log.summary import SummaryRow, log_recording_summary
+from adagmm_fusion.rerun_log.verdict import Limits
+from adagmm_fusion.rerun_log.when import When
+
+__all__ = [
+    "Eye",
+    "Limits",
+    "SummaryRow",
+    "When",
+    "add_rerun_arguments",
+    "dashboard",
+    "log_estimate_iterations",
+    "log_pair",
+    "log_recording_summary",
+    "open_stream",
+    "send_blueprint",
+]

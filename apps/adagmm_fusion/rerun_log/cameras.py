@@ -1,0 +1,43 @@
+"""Sensors: where they are, their pinhole frusta, and their colour and depth images."""
+
+import numpy as np
+import rerun as rr
+
+from adagmm_fusion.frames import PinholeIntrinsics, RGBDFrame
+from adagmm_fusion.rerun_log.entities import Sensor
+from adagmm_fusion.rerun_log.when import When
+
+JPEG_QUALITY = 90
+FRUSTUM_DEPTH = 0.25
+MILLIMETRES_PER_METRE = 1000.0
+
+
+def transform_archetype(T: np.ndarray) -> rr.Transform3D:
+    """A (4, 4) pose of a child in its parent's frame."""
+    return rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
+
+
+def log_pose(rec, sensor: Sensor, T: np.ndarray, when: When) -> None:
+    """Put a sensor at T (4, 4), sensor to world."""
+    when.log(rec, sensor.root, transform_archetype(T))
+
+
+def log_frustum(rec, sensor: Sensor, intrinsics: PinholeIntrinsics, color, when: When) -> None:
+    """The sensor's pinhole, drawn `color`; also what ties its 2D images to the 3D scene."""
+    pinhole = rr.Pinhole(
+        image_from_camera=intrinsics.matrix(),
+        resolution=[intrinsics.width, intrinsics.height],
+        camera_xyz=rr.ViewCoordinates.RDF,
+        image_plane_distance=FRUSTUM_DEPTH,
+        color=color,
+        line_width=2.0,
+    )
+    when.log(rec, sensor.image, pinhole)
+
+
+def log_images(rec, sensor: Sensor, frame: RGBDFrame, when: When) -> None:
+    """The colour image as JPEG and the depth image as compressed millimetres, for the 2D views."""
+    when.log(rec, sensor.rgb, rr.Image(frame.color).compress(jpeg_quality=JPEG_QUALITY))
+    depth_mm = np.nan_to_num(frame.depth_m() * MILLIMETRES_PER_METRE, nan=0.0)
+    depth_mm = np.clip(np.floor(depth_mm + 0.5), 0, np.iinfo(np.uint16).max).astype(np.uint16)
+    when.log(rec, sensor.depth, rr.DepthImage(depth_mm, meter=MILLIMETRES_PER_METRE).compress())

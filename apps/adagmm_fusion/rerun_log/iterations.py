@@ -1,0 +1,82 @@
+"""The EM iterations: the source sensor's pose and the curves, each sent in one call."""
+
+import numpy as np
+import rerun as rr
+
+from adagmm_fusion.rerun_log import entities
+from adagmm_fusion.rerun_log.when import When
+
+CURVES = {
+    entities.ENERGY: ("energy", (90, 160, 255)),
+    entities.SIGMA: ("σ [m²]", (200, 120, 255)),
+    entities.ROTATION_ERROR_DEG: ("rotation error [°]", (255, 150, 60)),
+    entities.TRANSLATION_ERROR_MM: ("translation error [mm]", (90, 200, 120)),
+    entities.FITNESS: ("fitness", (120, 220, 220)),
+    entities.INLIER_RMSE: ("inlier RMSE [m]", (230, 110, 140)),
+}
+
+
+def log_curve_styles(rec: rr.RecordingStream) -> None:
+    """Names and colours of the curves, once per recording."""
+    for entity, (name, color) in CURVES.items():
+        rec.log(entity, rr.SeriesLines(names=name, colors=color, widths=2.0), static=True)
+
+
+def log_transformations(rec, entity: str, transformations: np.ndarray, when: When) -> None:
+    """Move `entity` through (K+1, 4, 4) poses: before the first EM iteration, and after each."""
+    translations = np.ascontiguousarray(transformations[:, :3, 3], dtype=np.float32)
+    rotations = np.ascontiguousarray(transformations[:, :3, :3], dtype=np.float32)
+
+    def columns_of(rows):
+        # mat3x3 is column-major on the wire; the columns API does not transpose for us as the constructor does.
+        column_major = np.ascontiguousarray(rotations[rows].transpose(0, 2, 1)).reshape(-1, 9)
+        return rr.Transform3D.columns(translation=translations[rows], mat3x3=column_major)
+
+    when.send_rows(rec, entity, np.arange(len(transformations)), columns_of)
+
+
+def log_curve(rec, entity: str, iterations: np.ndarray, values: np.ndarray, when: When) -> None:
+    """Send one curve; values that are not finite are left out, a gap says more than a spike."""
+    values = np.asarray(values, dtype=np.float64)
+    finite = np.isfinite(values)
+    if finite.any():
+        kept = values[finite]
+        when.send_rows(rec, entity, np.asarray(iterations)[finite], lambda rows: rr.Scalars.columns(scalars=kept[rows]))
+
+
+def log_estimate_iterations(rec, estimate, T_truth: np.ndarray | None, when: When | None = None) -> int:
+    """Log every EM iteration of an estimate: pose of the source, σ, energy, and the errors where the truth is known.
+
+    Parameters
+    ----------
+    estimate : with transformations (K+1, 4, 4), sigmas (K,) and energies (K,), as `PointRegistrationResult` has them.
+    T_truth : (4, 4) source to target, or None.
+    when : the pair's place on the timelines; left out for a recording of this pair alone.
+
+    Returns
+    -------
+    The number of rows, K+1: the next pair's `em_step` is this pair's plus that.
+    """
+    when = When() if when is None else when
+    transformations = np.asarray(estimate.transformations, dtype=np.float64)
+    log_transformations(rec, entities.SOURCE.root, transformations, when)
+    after_each = np.arange(1, len(transformations))
+    log_curve(rec, entities.ENERGY, after_each, estimate.energies, when)
+    log_curve(rec, entities.SIGMA, after_each, estimate.sigmas, when)
+    if T_truth is not None:
+        angles_deg, distances_mm = pose_errors(transformations, T_truth)
+        every = np.arange(len(transformations))
+        log_curve(rec, entities.ROTATION_ERROR_DEG, every, angles_deg, when)
+        log_curve(rec, entities.TRANSLATION_ERROR_MM, every, distances_mm, when)
+    return len(transformations)
+
+
+def pose_errors(transformations: np.ndarray, T_truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angle [degrees] and distance [mm] of poses (n, 4, 4) from the true pose (4, 4), each (n,)."""
+    relative = transformations[:, :3, :3] @ T_truth[:3, :3].T
+    sine = np.linalg.norm(
+        np.stack([relative[:, i, j] - relative[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=1), axis=1
+    )
+    angles = np.arctan2(sine, np.trace(relative, axis1=1, axis2=2) - 1.0)
+    distances = np.linalg.norm(transformations[:, :3, 3] - T_truth[:3, 3], axis=1)
+    return np.rad2deg(angles), distances * 1000.0

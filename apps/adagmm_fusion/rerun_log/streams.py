@@ -1,0 +1,126 @@
+"""Where a recording goes: the `--save`, `--connect`, `--serve`, `--headless`, `--stdout` that Rerun users know."""
+
+import argparse
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import rerun as rr
+
+from adagmm_fusion.errors import OutputError
+
+APPLICATION_ID = "adagmm_fusion"
+LOOPBACK = "127.0.0.1"
+SERVER_START_SECONDS = 20.0
+
+
+def add_rerun_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add Rerun's own script arguments; `--serve` binds to loopback here, `--port` chooses where."""
+    rr.script_add_args(parser)
+    parser.add_argument("--port", type=int, default=None, help="With --serve: the gRPC port (default: a free one)")
+
+
+@contextlib.contextmanager
+def open_stream(args: argparse.Namespace, name: str, blueprint=None) -> Iterator[rr.RecordingStream]:
+    """A recording stream that goes where `args` say, closed at the end so that a file has its footer.
+
+    A file is written beside its final name and moved there when it is complete. With `--serve` this blocks at the end,
+    until Ctrl-C, as Rerun's own scripts do.
+
+    Raises
+    ------
+    OutputError  if the file cannot be written, or the viewer or server cannot be started.
+    """
+    rec = rr.RecordingStream(APPLICATION_ID, recording_id=None)
+    rec.send_recording_name(name)
+    with contextlib.ExitStack() as stack:
+        if args.stdout:
+            rec.stdout(default_blueprint=blueprint)
+        elif args.serve:
+            url, server = stack.enter_context(_serve_on_loopback(args.port))
+            rec.connect_grpc(url, default_blueprint=blueprint)
+        elif args.connect or args.url:
+            rec.connect_grpc(args.url, default_blueprint=blueprint)
+        elif args.save is not None:
+            partial = stack.enter_context(_renamed_when_complete(Path(args.save)))
+            rec.save(partial, default_blueprint=blueprint)
+        elif not args.headless:
+            try:
+                rec.spawn(default_blueprint=blueprint)
+            except RuntimeError as error:
+                raise OutputError(f"rerun viewer: could not be started ({error}); use --save FILE.rrd") from error
+        try:
+            yield rec
+        finally:
+            rec.flush()
+            rec.disconnect()
+        if args.serve:
+            _wait_for_interrupt(server)
+
+
+@contextlib.contextmanager
+def _renamed_when_complete(path: Path) -> Iterator[Path]:
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.touch()
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+    try:
+        yield partial
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def _serve_on_loopback(port: int | None) -> Iterator[tuple[str, subprocess.Popen]]:
+    """Rerun's own server and web viewer, bound to loopback: the SDK's `serve_grpc` would bind to every interface."""
+    grpc_port = _free_port() if port is None else port
+    web_port = _free_port()
+    command = [sys.executable, "-m", "rerun_cli", "--serve-web", "--bind", LOOPBACK, "--port", str(grpc_port)]
+    command += ["--web-viewer-port", str(web_port)]
+    server = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    try:
+        _wait_for_port(grpc_port, server)
+        _wait_for_port(web_port, server)
+        url = f"rerun+http://{LOOPBACK}:{grpc_port}/proxy"
+        print(f"viewer: http://{LOOPBACK}:{web_port}/?url={url.replace('+', '%2B')}", flush=True)
+        yield url, server
+    finally:
+        _stop(server)
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind((LOOPBACK, 0))
+        return probe.getsockname()[1]
+
+
+def _wait_for_port(port: int, server: subprocess.Popen) -> None:
+    give_up = time.monotonic() + SERVER_START_SECONDS
+    while time.monotonic() < give_up and server.poll() is None:
+        with contextlib.suppress(OSError), socket.create_connection((LOOPBACK, port), timeout=1.0):
+            return
+        time.sleep(0.05)
+    raise OutputError(f"rerun server: nothing listens on {LOOPBACK}:{port}; is the port taken? choose another --port")
+
+
+def _wait_for_interrupt(server: subprocess.Popen) -> None:
+    with contextlib.suppress(KeyboardInterrupt):
+        server.wait()
+
+
+def _stop(server: subprocess.Popen) -> None:
+    """`rerun` is a shim that starts the real program: end the process group, not only the shim."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(server.pid, 15)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        server.wait(timeout=5.0)
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(server.pid, 9)

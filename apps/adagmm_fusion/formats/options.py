@@ -1,0 +1,62 @@
+"""What a reader may be told, and what the readers share."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.frames import PinholeIntrinsics
+from adagmm_fusion.rig import Rig
+from adagmm_o3d.errors import InputError
+
+# The PrimeSense sensor's nominal intrinsics, which Kinect v1, Xtion and Open3D's samples go by.
+PRIMESENSE = PinholeIntrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
+
+
+@dataclass(frozen=True, eq=False)
+class ReadOptions:
+    """`rig` replaces the intrinsics and depth scale that the format has itself; `step` is the distance of the two
+    frames of a pair, in frames, where the recording is one sensor's path and does not list its pairs."""
+
+    rig: Rig | None = None
+    step: int = 1
+
+    def calibration(
+        self, sensor: str, intrinsics: PinholeIntrinsics | None, depth_scale: float, path: Path
+    ) -> tuple[PinholeIntrinsics, float]:
+        """The rig's intrinsics and depth scale of `sensor` (of its only sensor, if there is one), else the format's
+        own.
+
+        Raises
+        ------
+        RigError  if the rig has several sensors and none of that name.
+        RecordingError  if neither rig nor format knows the intrinsics.
+        """
+        if self.rig is not None:
+            one = len(self.rig.sensors) == 1
+            known = next(iter(self.rig.sensors.values())) if one else self.rig.sensor(sensor)
+            return known.intrinsics, known.depth_scale
+        if intrinsics is None:
+            raise RecordingError(
+                f"{path}: the intrinsics of {sensor} are not known here; give a rig file that has them"
+            )
+        return intrinsics, depth_scale
+
+
+def intrinsics_from_matrix(K, size: tuple[int, int], path: Path) -> PinholeIntrinsics:
+    """Intrinsics from a 3x3 camera matrix without skew, for images of `size` (width, height)."""
+    K = np.asarray(K, dtype=np.float64)
+    if K.shape != (3, 3) or K[0, 1] != 0 or K[1, 0] != 0 or not np.array_equal(K[2], (0, 0, 1)):
+        raise RecordingError(f"{path}: expected a camera matrix fx 0 cx / 0 fy cy / 0 0 1, got {K.tolist()}")
+    try:
+        return PinholeIntrinsics(*size, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+    except InputError as problem:
+        raise RecordingError(f"{path}: {problem}") from problem
+
+
+def listed_images(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
+    """The image files of a folder, by name."""
+    return sorted(
+        path for path in folder.iterdir() if path.suffix.lower() in suffixes and not path.name.startswith(".")
+    )

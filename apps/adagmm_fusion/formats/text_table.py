@@ -1,0 +1,62 @@
+"""Text files of words and numbers, line by line, without blank lines and # comments; errors name file and line."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.frames import checked_rigid_transformation
+from adagmm_o3d.errors import InputError
+
+
+def read_rows(path: Path) -> Iterator[tuple[str, list[str]]]:
+    """("file:line", the words) of each line that has any."""
+    try:
+        text = path.read_bytes().decode("utf-8")
+    except OSError as problem:
+        raise RecordingError(f"{path}: cannot be read: {problem.strerror}") from problem
+    except UnicodeDecodeError as problem:
+        raise RecordingError(f"{path}: expected text, got a binary file") from problem
+    for number, line in enumerate(text.splitlines(), 1):
+        words = line.split("#", 1)[0].split()
+        if words:
+            yield f"{path}:{number}", words
+
+
+def parse_numbers(words: list[str], count: int, where: str) -> list[float]:
+    """Exactly `count` finite numbers."""
+    if len(words) != count:
+        raise RecordingError(f"{where}: expected {count} numbers, got {len(words)} words")
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        bad = next(word for word in words if not _is_number(word))
+        raise RecordingError(f"{where}: expected {count} numbers, got {bad!r}") from None
+    if not np.isfinite(numbers).all():
+        raise RecordingError(f"{where}: expected finite numbers, got {' '.join(words)}")
+    return numbers
+
+
+def parse_pose(numbers, where: str) -> np.ndarray:
+    """(4, 4) rigid transformation from 16 numbers, row by row."""
+    try:
+        return checked_rigid_transformation(np.reshape(numbers, (4, 4)), "pose")
+    except InputError as problem:
+        raise RecordingError(f"{where}: {problem}") from problem
+
+
+def read_matrix(path: Path, rows: int, columns: int) -> np.ndarray:
+    """A file that holds one matrix, a row a line."""
+    table = [parse_numbers(words, columns, where) for where, words in read_rows(path)]
+    if len(table) != rows:
+        raise RecordingError(f"{path}: expected {rows} lines of {columns} numbers, got {len(table)}")
+    return np.array(table)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

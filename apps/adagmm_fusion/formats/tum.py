@@ -1,0 +1,175 @@
+"""TUM RGB-D folders: one moving Kinect with motion capture.
+
+    rgb.txt, depth.txt      lines "timestamp path", e.g. 1305031233.731201 depth/1305031233.731201.png; # comments
+    associations.txt        optional: lines "timestamp path timestamp path", colour and depth in either order, told
+                            apart by depth.txt or the folder name depth/; without it the nearest stamps within 20 ms
+                            are associated
+    groundtruth.txt         optional: lines "timestamp tx ty tz qx qy qz qw", camera to world, metres; interpolated at
+                            the depth stamp (linear, slerp) where the samples around it are at most 0.1 s apart
+    pairs.txt               optional: lines "source_depth_stamp target_depth_stamp"
+
+Depth: 16-bit PNG, 5000 units a metre, 0 none, registered to the colour image. Images that are listed and not there
+(both of them: a trimmed copy) are passed over. Intrinsics: by the sensor's name (freiburg1 to 3) in the folder's name
+or the comments of depth.txt, else from a rig. Source: Sturm et al. 2012 and the file format page of the benchmark.
+"""
+
+import re
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.formats.options import ReadOptions
+from adagmm_fusion.formats.text_table import parse_numbers, read_rows
+from adagmm_fusion.frame_sequence import FrameEntry, PairEntry, Recording, sequential_pairs
+from adagmm_fusion.frames import PinholeIntrinsics
+from adagmm_fusion.image_files import inside, load_frame
+
+NAME = "tum"
+SUMMARY = "TUM RGB-D folder (rgb.txt, depth.txt, groundtruth.txt)"
+SENSOR = "kinect"
+DEPTH_SCALE = 5000.0
+MAX_ASSOCIATION_GAP_S = 0.02
+MAX_POSE_GAP_S = 0.1
+# The benchmark's calibrations, without the colour distortion: depth was registered with the driver's undistorted
+# model, and clouds of known poses align better without it (measured on fr1_rpy).
+INTRINSICS = {
+    "1": PinholeIntrinsics(640, 480, 517.3, 516.5, 318.6, 255.3),
+    "2": PinholeIntrinsics(640, 480, 520.9, 521.0, 325.1, 249.7),
+    "3": PinholeIntrinsics(640, 480, 535.4, 539.2, 320.1, 247.6),
+}
+
+
+def matches(folder: Path) -> bool:
+    return (folder / "rgb.txt").is_file() and (folder / "depth.txt").is_file()
+
+
+def read(folder: Path, options: ReadOptions) -> Recording:
+    colors, depths = _read_stamps(folder, "rgb.txt"), _read_stamps(folder, "depth.txt")
+    if (folder / "associations.txt").is_file():
+        associations = _read_associations(folder, depths)
+    else:
+        associations = _associate(colors, depths)
+    present = [a for a in associations if a[2].exists() or a[1].exists()]
+    if not present:
+        raise RecordingError(f"{folder}: none of the {len(associations)} associated colour and depth images is there")
+    stamps = np.array([depth_stamp for depth_stamp, _, _ in present])
+    poses = _poses_at(folder / "groundtruth.txt", stamps)
+    intrinsics, depth_scale = options.calibration(SENSOR, _known_intrinsics(folder), DEPTH_SCALE, folder)
+    entries = tuple(
+        FrameEntry(
+            depth.stem,
+            SENSOR,
+            partial(load_frame, depth.stem, SENSOR, color, depth, intrinsics, depth_scale, stamp),
+            pose,
+            stamp,
+        )
+        for (stamp, color, depth), pose in zip(present, poses, strict=True)
+    )
+    if (folder / "pairs.txt").is_file():
+        pairs = _read_pairs(folder / "pairs.txt", stamps)
+    else:
+        pairs = sequential_pairs(len(entries), options.step)
+    return Recording(folder.name, folder, NAME, entries, pairs)
+
+
+def _read_stamps(folder: Path, name: str) -> list[tuple[float, Path]]:
+    """(timestamp, image path), by time."""
+    listed = []
+    for where, words in read_rows(folder / name):
+        if len(words) != 2:
+            raise RecordingError(f"{where}: expected 'timestamp path', got {' '.join(words)!r}")
+        listed.append((parse_numbers(words[:1], 1, where)[0], inside(folder, words[1], where)))
+    if not listed:
+        raise RecordingError(f"{folder / name}: lists no image")
+    return sorted(listed)
+
+
+def _read_associations(folder: Path, depths: list[tuple[float, Path]]) -> list[tuple[float, Path, Path]]:
+    """(depth stamp, colour path, depth path), by time."""
+    depth_paths = {path for _, path in depths}
+    associations = []
+    for where, words in read_rows(folder / "associations.txt"):
+        if len(words) != 4:
+            raise RecordingError(f"{where}: expected 'timestamp path timestamp path', got {' '.join(words)!r}")
+        stamps = parse_numbers(words[0::2], 2, where)
+        first, second = (inside(folder, word, where) for word in words[1::2])
+        if first in depth_paths or words[1].startswith("depth/"):
+            associations.append((stamps[0], second, first))
+        else:
+            associations.append((stamps[1], first, second))
+    return sorted(associations)
+
+
+def _associate(colors, depths) -> list[tuple[float, Path, Path]]:
+    """The best partners first, each image once, as the benchmark's associate.py does."""
+    color_stamps = np.array([stamp for stamp, _ in colors])
+    candidates = []
+    for j, (stamp, _) in enumerate(depths):
+        first, last = np.searchsorted(color_stamps, (stamp - MAX_ASSOCIATION_GAP_S, stamp + MAX_ASSOCIATION_GAP_S))
+        candidates += [(abs(color_stamps[i] - stamp), i, j) for i in range(first, last)]
+    used_colors, used_depths, associations = set(), set(), []
+    for _, i, j in sorted(candidates):
+        if i not in used_colors and j not in used_depths:
+            used_colors.add(i)
+            used_depths.add(j)
+            associations.append((depths[j][0], colors[i][1], depths[j][1]))
+    return sorted(associations)
+
+
+def _poses_at(path: Path, stamps: np.ndarray) -> list[np.ndarray | None]:
+    """T_world_camera at each time, None outside the trajectory and in its gaps."""
+    if not path.is_file():
+        return [None] * len(stamps)
+    rows = []
+    for where, words in read_rows(path):
+        numbers = parse_numbers(words, 8, where)
+        if abs(np.linalg.norm(numbers[4:]) - 1) > 0.01:
+            raise RecordingError(f"{where}: expected a unit quaternion qx qy qz qw, got {' '.join(words[4:])}")
+        rows.append(numbers)
+    if len(rows) < 2:
+        raise RecordingError(f"{path}: expected at least two poses, got {len(rows)}")
+    table = np.array(sorted(rows))
+    times, translations, rotations = table[:, 0], table[:, 1:4], Rotation.from_quat(table[:, 4:])
+    poses = []
+    for stamp in stamps:
+        after = np.searchsorted(times, stamp)
+        exact = after < len(times) and times[after] == stamp
+        before = after if exact else after - 1
+        if before < 0 or after == len(times) or times[after] - times[before] > MAX_POSE_GAP_S:
+            poses.append(None)
+            continue
+        pose = np.eye(4)
+        if exact:
+            pose[:3, :3], pose[:3, 3] = rotations[after].as_matrix(), translations[after]
+        else:
+            share = (stamp - times[before]) / (times[after] - times[before])
+            pose[:3, :3] = Slerp([0.0, 1.0], rotations[[before, after]])(share).as_matrix()
+            pose[:3, 3] = (1 - share) * translations[before] + share * translations[after]
+        poses.append(pose)
+    return poses
+
+
+def _read_pairs(path: Path, stamps: np.ndarray) -> tuple[PairEntry, ...]:
+    pairs = []
+    for where, words in read_rows(path):
+        indices = []
+        for stamp in parse_numbers(words, 2, where):
+            nearest = int(np.abs(stamps - stamp).argmin())
+            if abs(stamps[nearest] - stamp) > 1e-6:
+                raise RecordingError(
+                    f"{where}: no frame has its depth at {stamp:.6f}; the nearest is {stamps[nearest]:.6f}"
+                )
+            indices.append(nearest)
+        pairs.append(PairEntry(*indices))
+    return tuple(pairs)
+
+
+def _known_intrinsics(folder: Path) -> PinholeIntrinsics | None:
+    head = (folder / "depth.txt").read_text(encoding="utf-8", errors="replace")[:1000]
+    found = re.search(r"freiburg([123])|\bfr([123])(?![0-9])", folder.resolve().name.replace("_", " ")) or re.search(
+        r"freiburg([123])", head
+    )
+    return INTRINSICS[found[1] or found[2]] if found else None

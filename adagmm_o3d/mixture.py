@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import DegenerateError, InputError, InputTypeError
-
-Array = NDArray[np.float64]
+from .arguments import Array, float_array
+from .errors import DegenerateError, InputError
 
 MIN_POINTS = 3
 # A sensor model may fail at a point now and then (the Kinect data has one in thousands); more is a mistake upstream.
@@ -79,9 +78,7 @@ def make_mixture(name: str, points: ArrayLike, covariances: ArrayLike | None, we
     positive definite, or non-finite at more than 1 % of the points (fewer are dropped and counted).
     DegenerateError : fewer than 3 points, or all on one line (3D) or in one place (2D).
     """
-    p = _real_array(f"{name}.points", points)
-    if p.ndim != 2 or p.shape[1] not in (2, 3):
-        raise InputError(f"{name}.points: expected shape (n, 2) or (n, 3), got {p.shape}")
+    p = float_array(f"{name}.points", points, ("n", (2, 3)), finite=False)
     n, dimension = p.shape
     if n == 0:
         raise InputError(f"{name}.points: the cloud is empty; registration needs at least {MIN_POINTS} points")
@@ -111,36 +108,19 @@ def make_mixture(name: str, points: ArrayLike, covariances: ArrayLike | None, we
     return Mixture(np.ascontiguousarray(p), np.ascontiguousarray(c), w, dimension, isotropic, dropped)
 
 
-def _real_array(name: str, values: ArrayLike) -> Array:
-    try:
-        array = np.asarray(values)
-    except ValueError as error:
-        raise InputTypeError(f"{name}: expected an array of real numbers, got {type(values).__name__} ({error})") from None
-    if array.dtype.kind not in "fiu":
-        raise InputTypeError(f"{name}: expected an array of real numbers, got dtype {array.dtype}")
-    return array.astype(np.float64)
-
-
 def _check_covariances(name: str, covariances: ArrayLike | None, n: int, dimension: int) -> Array:
     if covariances is None:
         return np.broadcast_to(np.eye(dimension), (n, dimension, dimension)).copy()
-    c = _real_array(f"{name}.covariances", covariances)
-    if c.shape != (n, dimension, dimension):
-        raise InputError(
-            f"{name}.covariances: expected shape ({n}, {dimension}, {dimension}) to match the points, got {c.shape}"
-        )
-    return c
+    return float_array(f"{name}.covariances", covariances, (n, dimension, dimension), finite=False).copy()
 
 
 def _check_weights(name: str, weights: ArrayLike | None, n: int) -> Array:
     if weights is None:
         return np.ones(n)
-    w = _real_array(f"{name}.weights", weights)
-    if w.shape != (n,):
-        raise InputError(f"{name}.weights: expected shape ({n},) to match the points, got {w.shape}")
-    if not (np.isfinite(w).all() and (w > 0).all()):
-        first = int(np.flatnonzero(~(np.isfinite(w) & (w > 0)))[0])
-        raise InputError(f"{name}.weights: expected finite numbers above zero, got {w[first]} at index {first}")
+    w = float_array(f"{name}.weights", weights, (n,))
+    if not (w > 0).all():
+        first = int(np.flatnonzero(w <= 0)[0])
+        raise InputError(f"{name}.weights: expected numbers above zero, got {w[first]:g} at index {first}")
     return w
 
 

@@ -1,0 +1,45 @@
+"""Every tunable of the method, with its unit, default and range."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from .arguments import real_number
+from .errors import InputError
+
+DEFAULT_MAX_ITERATION = 200
+
+SigmaRuleName = Literal["annealed", "nearest", "figure2"]
+StartName = Literal["auto", "init", "centroids"]
+
+
+@dataclass(frozen=True)
+class TransformationEstimationForAdaptiveGMM:
+    """Options of `registration_adaptive_gmm` and `register_points`; the defaults are the ones measured to be best.
+
+    sigma_rule : how the scale σ of the mixtures follows the registration.
+        "annealed": the nearest distances until the pose settles, then smaller and smaller (the accuracy).
+        "nearest": mean squared nearest distance over the dimension, both clouds (the paper's published accuracy).
+        "figure2": mean nearest distance, source alone (the letter of the paper's Figure 2).
+    start : where to begin when `init` is the identity or left out.
+        "auto": at the identity or with common centroids, whichever explains the clouds better.
+        "init": at the identity.   "centroids": with common centroids (the paper).
+    relaxation : lengthens every step, 1 to 2; above 1 it saves iterations.
+
+    Raises
+    ------
+    InputTypeError, InputError : an option out of its range.
+    """
+
+    sigma_rule: SigmaRuleName = "annealed"
+    start: StartName = "auto"
+    relaxation: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, choices in (("sigma_rule", get_args(SigmaRuleName)), ("start", get_args(StartName))):
+            value = getattr(self, name)
+            if value not in choices:
+                raise InputError(f"{name}: expected one of {', '.join(map(repr, choices))}, got {value!r}")
+        if not 1.0 <= real_number("relaxation", self.relaxation) < 2.0:
+            raise InputError(f"relaxation: expected 1 <= relaxation < 2, got {self.relaxation:g}")

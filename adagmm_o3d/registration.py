@@ -1,0 +1,159 @@
+"""Open3D in, Open3D out: `registration_adaptive_gmm` for legacy and tensor point clouds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import open3d as o3d
+from numpy.typing import ArrayLike
+
+from .arguments import Array, real_number
+from .errors import InputError, InputTypeError
+from .options import DEFAULT_MAX_ITERATION, TransformationEstimationForAdaptiveGMM
+from .points import register_points
+from .result import PointRegistrationResult
+from .tensor_registration import register_tensor_clouds
+from .uncertainty import estimate_surface_covariances
+
+LegacyResult = o3d.pipelines.registration.RegistrationResult
+LegacyCriteria = o3d.pipelines.registration.ICPConvergenceCriteria
+TensorCriteria = o3d.t.pipelines.registration.ICPConvergenceCriteria
+
+
+class RegistrationResult(LegacyResult):
+    """Open3D's `RegistrationResult`, with the EM's own record in `details`."""
+
+    details: PointRegistrationResult
+
+
+def registration_adaptive_gmm(
+    source: o3d.geometry.PointCloud | o3d.t.geometry.PointCloud,
+    target: o3d.geometry.PointCloud | o3d.t.geometry.PointCloud,
+    max_correspondence_distance: float,
+    init: ArrayLike | o3d.core.Tensor | str | None = None,
+    estimation_method: Any = None,
+    criteria: Any = None,
+    *,
+    init_source_to_target: ArrayLike | o3d.core.Tensor | str | None = None,
+    voxel_size: float = -1.0,
+    device: str = "auto",
+    callback_after_iteration: Callable[[dict[str, Any]], None] | None = None,
+) -> LegacyResult | o3d.t.pipelines.registration.RegistrationResult:
+    """Register `source` onto `target` as adaptive Gaussian mixtures; a drop-in for Open3D's ICP and GICP.
+
+    Two legacy clouds behave as `o3d.pipelines.registration.registration_generalized_icp`, two tensor clouds as
+    `o3d.t.pipelines.registration.icp`, whose keywords `init_source_to_target` and `voxel_size` are taken as well.
+
+    Parameters
+    ----------
+    source, target : (M,) and (N,) point clouds of one kind, float32 or float64, at least three points each. Covariances
+        come from `PointCloud.covariances` or `point.covariances`; only their relative size matters. A cloud without any
+        gets those of its surface, estimated from each point's nearest neighbours (`estimate_surface_covariances`).
+    max_correspondence_distance : [input units] > 0. The method chooses no correspondences; this is the distance within
+        which `fitness`, `inlier_rmse` and `correspondence_set` count them, as Open3D's `evaluate_registration` does.
+    init : (4, 4) rigid transformation source → target to start from; the identity (also when left out) lets the
+        method choose between it and common centroids; "global" searches all rotations.
+    estimation_method : TransformationEstimationForAdaptiveGMM. Open3D's own methods are accepted, so that a script
+        needs no change, and stand for the default options; one that estimates a scale is refused.
+    criteria : Open3D's ICPConvergenceCriteria, legacy or tensor. `relative_rmse` and `relative_fitness` bound the
+        change of the weighted residual and of the pair weights in an iteration, `max_iteration` the EM iterations.
+    voxel_size : [input units] > 0 downsamples both clouds first, as `o3d.t.pipelines.registration.icp` does.
+    device : "cpu", "cuda" or "auto".
+    callback_after_iteration : called after each EM iteration with `iteration_index`, `scale_index`,
+        `scale_iteration_index`, `fitness`, `inlier_rmse`, `transformation`, `sigma` and `energy`; tensors for tensor
+        clouds, Python numbers and an array for legacy ones. There `fitness` is the estimated overlap and `inlier_rmse`
+        the weighted residual [input units].
+
+    Returns
+    -------
+    Open3D's RegistrationResult of the same kind as the clouds, with the EM's record in its attribute `details`.
+
+    Raises
+    ------
+    InputTypeError, InputError, DegenerateError, DeviceError : one line naming the argument, what was wanted, what came.
+
+    Source
+    ------
+    C. Pu, N. Li, R. B. Fisher: Robust Rigid Point Registration based on Convolution of Adaptive Gaussian Mixture Models.
+    """
+    if init is not None and init_source_to_target is not None:
+        raise InputError("init: given twice, as init and as init_source_to_target; give one")
+    start = init if init is not None else init_source_to_target
+    method = _estimation_method(estimation_method)
+    criteria = _criteria(criteria)
+    distance = real_number("max_correspondence_distance", max_correspondence_distance, above=0.0)
+    voxel_size = real_number("voxel_size", voxel_size)
+    if isinstance(source, o3d.t.geometry.PointCloud) and isinstance(target, o3d.t.geometry.PointCloud):
+        return register_tensor_clouds(
+            source, target, distance, start, method, criteria, voxel_size, device, callback_after_iteration
+        )
+    for name, cloud in (("source", source), ("target", target)):
+        if not isinstance(cloud, o3d.geometry.PointCloud):
+            raise InputTypeError(
+                f"{name}: expected two open3d.geometry.PointCloud or two open3d.t.geometry.PointCloud, "
+                f"got {type(cloud).__name__}"
+            )
+    if voxel_size > 0:
+        source, target = source.voxel_down_sample(voxel_size), target.voxel_down_sample(voxel_size)
+    details = register_points(
+        np.asarray(source.points),
+        np.asarray(target.points),
+        legacy_covariances("source", source),
+        legacy_covariances("target", target),
+        init=start,
+        estimation_method=method,
+        criteria=criteria,
+        device=device,
+        callback_after_iteration=callback_after_iteration,
+    )
+    evaluated = o3d.pipelines.registration.evaluate_registration(source, target, distance, details.transformation)
+    result = RegistrationResult()
+    result.transformation = details.transformation
+    result.fitness = evaluated.fitness
+    result.inlier_rmse = evaluated.inlier_rmse
+    result.correspondence_set = evaluated.correspondence_set
+    result.details = details
+    return result
+
+
+def legacy_covariances(name: str, cloud: o3d.geometry.PointCloud) -> Array | None:
+    """(n, 3, 3) covariances of a legacy cloud, estimated from the surface where it has none."""
+    if len(cloud.covariances) == 0:
+        points = np.asarray(cloud.points)
+        return estimate_surface_covariances(points) if len(points) >= 3 and np.isfinite(points).all() else None
+    covariances = np.asarray(cloud.covariances)
+    if len(covariances) != len(cloud.points):
+        raise InputError(
+            f"{name}.covariances: expected one for each of the {len(cloud.points)} points, got {len(covariances)}"
+        )
+    return covariances
+
+
+def _estimation_method(method: Any) -> TransformationEstimationForAdaptiveGMM:
+    if method is None:
+        return TransformationEstimationForAdaptiveGMM()
+    if isinstance(method, TransformationEstimationForAdaptiveGMM):
+        return method
+    theirs = (
+        o3d.pipelines.registration.TransformationEstimation,
+        o3d.t.pipelines.registration.TransformationEstimation,
+    )
+    if not isinstance(method, theirs):
+        raise InputTypeError(
+            "estimation_method: expected TransformationEstimationForAdaptiveGMM or one of Open3D's, "
+            f"got {type(method).__name__}"
+        )
+    if getattr(method, "with_scaling", False):
+        raise InputError("estimation_method: with_scaling is on, but a rigid registration estimates no scale; turn it off")
+    return TransformationEstimationForAdaptiveGMM()
+
+
+def _criteria(criteria: Any) -> LegacyCriteria | TensorCriteria:
+    if criteria is None:
+        return LegacyCriteria(max_iteration=DEFAULT_MAX_ITERATION)
+    if not isinstance(criteria, (LegacyCriteria, TensorCriteria)):
+        raise InputTypeError(f"criteria: expected Open3D's ICPConvergenceCriteria, got {type(criteria).__name__}")
+    return criteria
+

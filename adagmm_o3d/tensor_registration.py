@@ -1,0 +1,108 @@
+"""Tensor point clouds: the same registration with the manners of `o3d.t.pipelines.registration.icp`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import open3d as o3d
+from numpy.typing import ArrayLike
+
+from .arguments import Array
+from .errors import InputError, InputTypeError
+from .options import TransformationEstimationForAdaptiveGMM
+from .points import register_points
+from .result import PointRegistrationResult
+from .uncertainty import estimate_surface_covariances
+
+TensorCloud = o3d.t.geometry.PointCloud
+TensorResult = o3d.t.pipelines.registration.RegistrationResult
+Callback = Callable[[dict[str, Any]], None]
+
+INTEGER_KEYS = ("iteration_index", "scale_index", "scale_iteration_index")
+
+
+class TensorRegistrationResult(TensorResult):
+    """Open3D's tensor `RegistrationResult`, with the EM's own record in `details`."""
+
+    details: PointRegistrationResult
+
+
+def register_tensor_clouds(
+    source: TensorCloud,
+    target: TensorCloud,
+    max_correspondence_distance: float,
+    init: ArrayLike | o3d.core.Tensor | str | None,
+    method: TransformationEstimationForAdaptiveGMM,
+    criteria: Any,
+    voxel_size: float,
+    device: str,
+    callback_after_iteration: Callback | None,
+) -> TensorResult:
+    """See `registration_adaptive_gmm`; arguments are checked there."""
+    if source.device != target.device:
+        raise InputError(
+            f"target: expected on the device of source, {source.device}, got {target.device}; move one with .to()"
+        )
+    for name, cloud in (("source", source), ("target", target)):
+        _check_positions(name, cloud)
+    if voxel_size > 0:
+        source, target = source.voxel_down_sample(voxel_size), target.voxel_down_sample(voxel_size)
+    details = register_points(
+        source.point.positions.cpu().numpy(),
+        target.point.positions.cpu().numpy(),
+        _covariances("source", source),
+        _covariances("target", target),
+        init=init.cpu().numpy() if isinstance(init, o3d.core.Tensor) else init,
+        estimation_method=method,
+        criteria=criteria,
+        device=device,
+        callback_after_iteration=_as_tensors(callback_after_iteration),
+    )
+    transformation = o3d.core.Tensor(details.transformation)
+    evaluated = o3d.t.pipelines.registration.evaluate_registration(
+        source, target, max_correspondence_distance, transformation
+    )
+    result = TensorRegistrationResult()
+    result.transformation = transformation
+    result.fitness = evaluated.fitness
+    result.inlier_rmse = evaluated.inlier_rmse
+    result.correspondence_set = evaluated.correspondence_set
+    result.converged = details.converged
+    result.num_iterations = details.iterations
+    result.details = details
+    return result
+
+
+def _check_positions(name: str, cloud: TensorCloud) -> None:
+    if "positions" not in cloud.point:
+        raise InputError(f"{name}.point.positions: the cloud is empty; registration needs at least 3 points")
+    dtype = cloud.point.positions.dtype
+    if dtype not in (o3d.core.float32, o3d.core.float64):
+        raise InputTypeError(f"{name}.point.positions: expected Float32 or Float64, got {dtype}")
+
+
+def _covariances(name: str, cloud: TensorCloud) -> Array | None:
+    if "covariances" in cloud.point:
+        return cloud.point.covariances.cpu().numpy()
+    points = cloud.point.positions.cpu().numpy().astype(np.float64)
+    return estimate_surface_covariances(points) if len(points) >= 3 and np.isfinite(points).all() else None
+
+
+def _as_tensors(callback: Callback | None) -> Callback | None:
+    """Open3D's tensor callback gets a dictionary of tensors: indices Int64, the rest Float64, on the CPU."""
+    if callback is None:
+        return None
+
+    def forward(values: dict[str, Any]) -> None:
+        callback(
+            {
+                key: o3d.core.Tensor(
+                    np.asarray(value), o3d.core.int64 if key in INTEGER_KEYS else o3d.core.float64
+                )
+                for key, value in values.items()
+            }
+        )
+
+    return forward

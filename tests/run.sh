@@ -1,0 +1,19 @@
+#!/usr/bin/env bash
+# Sets up everything the tests need and runs them all; see README.md, "Tests".
+#   bash tests/run.sh [pytest arguments]
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+# shellcheck source=apps/system_packages.sh
+source apps/system_packages.sh
+install_system_packages "$LIBRARIES $VIEWER_LIBRARIES"
+
+if [ ! -x .venv/bin/python ]; then
+    "$(find_python)" -m venv .venv
+fi
+.venv/bin/python -m pip install --quiet --disable-pip-version-check -e ".[dev]"
+
+export OMP_WAIT_POLICY=passive
+.venv/bin/ruff check .
+.venv/bin/ruff format --check .
+exec .venv/bin/python -m pytest "$@"

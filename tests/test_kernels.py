@@ -1,0 +1,136 @@
+"""The kernels against the naive reference: odd sizes, both dimensions, isotropic and not, culled and dense."""
+
+import numba
+import numpy as np
+import pytest
+import reference
+from mixtures import random_points_and_covariances, random_pose
+
+from adagmm_o3d.kernels.cpu import CLUSTER, TILE
+from adagmm_o3d.kernels.exp2 import exp2_float32
+from adagmm_o3d.kernels.pair_loop import CHUNK, PairLoop
+from adagmm_o3d.mixture import make_mixture
+
+FREE = {2: [2, 3, 4], 3: [0, 1, 2, 3, 4, 5]}
+SHAPES = [("2D", 2, True), ("2D anisotropic", 2, False), ("3D", 3, True), ("3D anisotropic", 3, False)]
+shapes = pytest.mark.parametrize(("dimension", "isotropic"), [s[1:] for s in SHAPES], ids=[s[0] for s in SHAPES])
+
+
+def lift(pose):
+    if len(pose) == 4:
+        return pose
+    lifted = np.eye(4)
+    lifted[:2, :2], lifted[:2, 3] = pose[:2, :2], pose[:2, 2]
+    return lifted
+
+
+class Case:
+    """A pair of random clouds, its pair loop, and the reference's answer."""
+
+    def __init__(self, seed, m, n, dimension, isotropic, sigmas=(0.2, 0.35)):
+        rng = np.random.default_rng(seed)
+        self.source, self.source_covariances = random_points_and_covariances(rng, m, dimension, isotropic=isotropic)
+        self.target, self.target_covariances = random_points_and_covariances(rng, n, dimension, isotropic=isotropic)
+        self.pose, self.sigmas, self.dimension = random_pose(rng, dimension), sigmas, dimension
+        self.loop = PairLoop(
+            make_mixture("source", self.source, self.source_covariances),
+            make_mixture("target", self.target, self.target_covariances),
+        )
+        self.R, self.t = self.pose[:-1, :-1], self.pose[:-1, -1]
+        self.y = reference.move(self.source, self.R, self.t)
+        self.B = np.linalg.inv(sigmas[0] * reference.turn(self.source_covariances, self.R))
+        self.A = np.linalg.inv(sigmas[1] * self.target_covariances)
+
+    def sums(self):
+        return self.loop.sums(lift(self.pose), *self.sigmas)
+
+    def unit(self):
+        """What the kernels divide the reference's weights by: the largest amplitude on either side."""
+        largest = [np.linalg.det(p).max() ** 0.5 for p in (self.A, self.B)]
+        return largest[0] * largest[1]
+
+
+@shapes
+@pytest.mark.parametrize("m", [3, CLUSTER - 1, CLUSTER, CHUNK + 1])
+@pytest.mark.parametrize("n", [3, TILE - 1, TILE, TILE + 1, 300])
+def test_pair_sums_match_the_naive_reference(dimension, isotropic, m, n):
+    case = Case(7 * m + n, m, n, dimension, isotropic)
+    sums = case.sums()
+    C = reference.pair_weights(case.y, case.B, case.target, case.A) / case.unit()
+    args = (C, case.y, case.B, case.target, case.A)
+    free = FREE[dimension]
+    hessian = 0.5 * reference.gauss_newton_hessian(*args, turning=False)
+    gradient = 0.5 * reference.gradient(*args)
+    np.testing.assert_allclose(sums.row_weights, C.sum(axis=1), rtol=2e-6, atol=1e-7 * C.sum() / m)
+    np.testing.assert_allclose(sums.weight, C.sum(), rtol=1e-6, atol=0)
+    np.testing.assert_allclose(sums.energy, reference.energy(*args), rtol=1e-6, atol=0)
+    np.testing.assert_allclose(sums.hessian[np.ix_(free, free)], hessian, rtol=1e-5, atol=1e-6 * np.abs(hessian).max())
+    np.testing.assert_allclose(sums.gradient[free], gradient, rtol=1e-5, atol=1e-6 * np.abs(hessian).max())
+
+
+@shapes
+def test_the_gradient_is_the_slope_of_equation_5(dimension, isotropic):
+    case = Case(1, 40, 50, dimension, isotropic)
+    C = reference.pair_weights(case.y, case.B, case.target, case.A) / case.unit()
+    slope = reference.gradient_by_differences(
+        C, case.source, np.linalg.inv(case.sigmas[0] * case.source_covariances), case.target, case.A, case.R, case.t
+    )
+    gradient = 2.0 * case.sums().gradient[FREE[dimension]]
+    np.testing.assert_allclose(gradient, slope, rtol=1e-4, atol=1e-5 * np.abs(slope).max())
+
+
+@shapes
+def test_leaving_out_far_tiles_changes_nothing_worth_mentioning(dimension, isotropic):
+    # Clouds 100 times wider than a component reaches: so nearly every tile is skipped.
+    case = Case(2, 400, 900, dimension, isotropic, sigmas=(2e-4, 1e-4))
+    C = reference.pair_weights(case.y, case.B, case.target, case.A) / case.unit()
+    sums = case.sums()
+    np.testing.assert_allclose(sums.weight, C.sum(), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(
+        sums.energy, reference.energy(C, case.y, case.B, case.target, case.A), rtol=1e-4, atol=1e-4
+    )
+
+
+@shapes
+@pytest.mark.parametrize(("m", "n"), [(3, 3), (CHUNK + 5, 3 * TILE + 1), (500, 2000)])
+def test_nearest_distances_match_the_naive_reference(dimension, isotropic, m, n):
+    case = Case(m + n, m, n, dimension, isotropic)
+    nearest = np.sqrt(case.loop.nearest_sq(lift(case.pose)))
+    np.testing.assert_allclose(nearest, reference.nearest_distances(case.y, case.target), rtol=1e-5, atol=1e-6)
+
+
+def test_component_weights_multiply_the_pair_weights():
+    case = Case(3, 20, 30, 3, isotropic=True)
+    rng = np.random.default_rng(4)
+    u, v = rng.uniform(0.1, 1.0, 20), rng.uniform(0.1, 1.0, 30)
+    loop = PairLoop(
+        make_mixture("source", case.source, case.source_covariances, u),
+        make_mixture("target", case.target, case.target_covariances, v),
+    )
+    C = reference.pair_weights(case.y, case.B, case.target, case.A, u, v)
+    rows = loop.sums(case.pose, *case.sigmas).row_weights
+    np.testing.assert_allclose(rows / rows.sum(), C.sum(axis=1) / C.sum(), rtol=2e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("isotropic", [True, False])
+def test_the_bits_do_not_depend_on_the_number_of_threads(isotropic):
+    case = Case(5, 1500, 1300, 3, isotropic)
+    most = numba.get_num_threads()
+    results = []
+    for threads in sorted({1, 2, most} & set(range(1, most + 1))):
+        numba.set_num_threads(threads)
+        try:
+            sums = case.sums()
+        finally:
+            numba.set_num_threads(most)
+        results.append((sums.hessian.tobytes(), sums.gradient.tobytes(), sums.energy, sums.row_weights.tobytes()))
+    if len(results) == 1:
+        pytest.skip("one core only: nothing to compare")
+    assert all(r == results[0] for r in results)
+
+
+def test_exp2_is_accurate_over_the_whole_range():
+    x = np.linspace(-125.9, 0.0, 20_001, dtype=np.float32)
+    ours = np.array([exp2_float32(v) for v in x])
+    np.testing.assert_allclose(ours, np.exp2(x.astype(np.float64)), rtol=3e-7, atol=0)
+    assert exp2_float32(np.float32(-1e30)) == np.float32(2.0**-126)

@@ -90,9 +90,9 @@ def estimate_nguyen_covariances(
     fx, fy = _focal_lengths(focal_length)
     p, depth, cosine = depth_and_incidence(points, normals)
     angle = np.arccos(cosine)
-    ray = p / depth[:, None]
+    along_ray = p * (nguyen_axial_sigma(depth, angle) / depth)[:, None]
     lateral = nguyen_lateral_sigma_px(angle) * depth
-    covariances = (nguyen_axial_sigma(depth, angle) ** 2)[:, None, None] * ray[:, :, None] * ray[:, None, :]
+    covariances = along_ray[:, :, None] * along_ray[:, None, :]
     covariances[:, 0, 0] += (lateral / fx) ** 2
     covariances[:, 1, 1] += (lateral / fy) ** 2
     return covariances

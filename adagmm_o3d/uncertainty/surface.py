@@ -56,7 +56,7 @@ def estimate_surface_covariances(
         n = unit_vectors("normals", normals, ("N", dimension))
         if len(n) != len(p):
             raise InputError(f"normals: expected {p.shape} to match the points, got {n.shape}")
-    return np.eye(dimension) - (1.0 - thickness) * n[:, :, None] * n[:, None, :]
+    return np.eye(dimension) - (1.0 - thickness) * (n[:, :, None] * n[:, None, :])
 
 
 def _estimate_normals(points: Array, knn: int) -> Array:

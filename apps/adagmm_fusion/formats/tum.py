@@ -33,11 +33,10 @@ SENSOR = "kinect"
 DEPTH_SCALE = 5000.0
 MAX_ASSOCIATION_GAP_S = 0.02
 MAX_POSE_GAP_S = 0.1
-# The benchmark's calibrations, without the colour distortion: depth was registered with the driver's undistorted
-# model, and clouds of known poses align better without it (measured on fr1_rpy).
+# The benchmark's calibrations of the colour cameras, which the depth is registered to.
 INTRINSICS = {
-    "1": PinholeIntrinsics(640, 480, 517.3, 516.5, 318.6, 255.3),
-    "2": PinholeIntrinsics(640, 480, 520.9, 521.0, 325.1, 249.7),
+    "1": PinholeIntrinsics(640, 480, 517.3, 516.5, 318.6, 255.3, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
+    "2": PinholeIntrinsics(640, 480, 520.9, 521.0, 325.1, 249.7, (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
     "3": PinholeIntrinsics(640, 480, 535.4, 539.2, 320.1, 247.6),
 }
 

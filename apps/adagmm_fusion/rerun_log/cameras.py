@@ -9,6 +9,7 @@ from adagmm_fusion.rerun_log.when import When
 
 JPEG_QUALITY = 90
 FRUSTUM_DEPTH = 0.25
+FRUSTUM_LINE_WIDTH = 0.012
 MILLIMETRES_PER_METRE = 1000.0
 
 
@@ -30,7 +31,7 @@ def log_frustum(rec, sensor: Sensor, intrinsics: PinholeIntrinsics, color, when:
         camera_xyz=rr.ViewCoordinates.RDF,
         image_plane_distance=FRUSTUM_DEPTH,
         color=color,
-        line_width=2.0,
+        line_width=FRUSTUM_LINE_WIDTH,
     )
     when.log(rec, sensor.image, pinhole)
 

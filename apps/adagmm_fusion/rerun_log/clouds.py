@@ -1,4 +1,10 @@
-"""Point clouds as Rerun archetypes, each in its own sensor's frame."""
+"""Point clouds as Rerun archetypes, each in its own sensor's frame.
+
+The positions are logged once. What a view wants to say with colours is a layer: another set of colours on the same
+entity, which the blueprint maps onto the points of that view.
+"""
+
+from collections.abc import Mapping
 
 import numpy as np
 import open3d as o3d
@@ -8,37 +14,61 @@ from adagmm_fusion.rerun_log.when import When
 from adagmm_o3d.errors import InputError
 
 DEFAULT_COLOR = (180, 180, 180)
-RADIUS_SHARE_OF_SPACING = 0.45
+RADIUS_SHARE_OF_SPACING = 0.6
+LIGHT = np.array((-0.4, -0.7, -0.6)) / np.linalg.norm((-0.4, -0.7, -0.6))
+AMBIENT = 0.35
+
+SHAPE = "Shape"
+WEIGHT_SHARE = "WeightShare"
+RESIDUAL_MM = "ResidualMm"
+OVERLAP = "Overlap"
+DIMMED = "Dimmed"
 
 
 def point_radius(points: np.ndarray) -> float:
-    """A radius [m] at which neighbouring points just touch; 5 mm for fewer than two points."""
+    """A radius [m] at which neighbouring points close the surface; 5 mm for fewer than two points."""
     if len(points) < 2:
         return 0.005
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
     return RADIUS_SHARE_OF_SPACING * float(np.median(cloud.compute_nearest_neighbor_distance()))
 
 
-def as_uint8(colors: np.ndarray) -> np.ndarray:
-    """(N, 3) Open3D colours in 0..1 as (N, 3) uint8."""
-    return np.floor(np.clip(colors, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+def own_colors(cloud: o3d.geometry.PointCloud) -> np.ndarray:
+    """(N, 3) uint8, grey where the cloud has no colours."""
+    if not cloud.has_colors():
+        return np.tile(np.uint8(DEFAULT_COLOR), (len(cloud.points), 1))
+    return np.floor(np.clip(np.asarray(cloud.colors), 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
 
 
-def log_points(rec, entity: str, points: np.ndarray, colors, when: When, *, radius: float | None = None) -> None:
-    """Log points (N, 3) [m] with colours: (N, 3) or (N, 4) uint8, or one colour for all.
+def shaded_colors(cloud: o3d.geometry.PointCloud, color) -> np.ndarray:
+    """(N, 3) uint8: one colour for the whole cloud, lit from above to show its shape; flat without normals."""
+    if not cloud.has_normals():
+        return np.tile(np.uint8(color), (len(cloud.points), 1))
+    lit = AMBIENT + (1.0 - AMBIENT) * np.abs(np.asarray(cloud.normals) @ LIGHT)
+    return np.clip(lit[:, None] * np.asarray(color, dtype=np.float64), 0, 255).astype(np.uint8)
+
+
+def log_points(
+    rec, entity: str, points: np.ndarray, colors: np.ndarray, when: When, layers: Mapping[str, np.ndarray] | None = None
+) -> None:
+    """Log points (N, 3) [m] with colours (N, 3) uint8, and further sets of colours by the name of their layer.
 
     Raises
     ------
-    InputError  if there are neither one nor N colours; Rerun itself would show the last one on the rest.
+    InputError  if there are not N colours; Rerun itself would go on with the last one.
     """
-    colors = np.atleast_2d(np.asarray(colors, dtype=np.uint8))
-    if len(colors) not in (1, len(points)):
-        raise InputError(f"{entity}: expected 1 or {len(points)} colors to match the points, got {len(colors)}")
-    radius = point_radius(points) if radius is None else radius
-    when.log(rec, entity, rr.Points3D(np.asarray(points, dtype=np.float32), colors=colors, radii=np.float32(radius)))
+    positions = np.ascontiguousarray(points, dtype=np.float32)
+    archetypes = [rr.Points3D(positions, colors=_checked(entity, colors, len(positions)), radii=point_radius(points))]
+    for layer, layer_colors in (layers or {}).items():
+        batch = rr.components.ColorBatch(_checked(f"{entity}:{layer}", layer_colors, len(positions)))
+        archetypes.append(rr.DynamicArchetype(layer, components={"colors": batch}))
+    when.log(rec, entity, *archetypes)
 
 
-def log_cloud(rec, entity: str, cloud: o3d.geometry.PointCloud, when: When, *, radius: float | None = None) -> None:
-    """Log an Open3D cloud with its own colours, or grey where it has none."""
-    colors = as_uint8(np.asarray(cloud.colors)) if cloud.has_colors() else DEFAULT_COLOR
-    log_points(rec, entity, np.asarray(cloud.points), colors, when, radius=radius)
+def _checked(name: str, colors: np.ndarray, n: int) -> np.ndarray:
+    colors = np.asarray(colors)
+    if colors.dtype != np.uint8 or colors.shape != (n, 3):
+        raise InputError(
+            f"{name}: expected ({n}, 3) uint8 colors to match the points, got {colors.shape} {colors.dtype}"
+        )
+    return colors

@@ -34,6 +34,7 @@ SUMMARY_TRANSLATION_ERROR_MM = "summary/translation_error_mm"
 RESIDUAL_HISTOGRAM = "diagnostics/residual_histogram"
 RESIDUAL_LEGEND = "diagnostics/residual_legend"
 WEIGHT_LEGEND = "diagnostics/weight_legend"
+OVERLAP_LEGEND = "diagnostics/overlap_legend"
 
 FRAME = "frame"
 ITERATION = "iteration"
@@ -77,18 +78,6 @@ class Sensor:
     @property
     def covariances(self) -> str:
         return f"{self.root}/covariances"
-
-    @property
-    def weight_share(self) -> str:
-        return f"{self.root}/weight_share"
-
-    @property
-    def residual_mm(self) -> str:
-        return f"{self.root}/residual_mm"
-
-    @property
-    def overlap(self) -> str:
-        return f"{self.root}/overlap"
 
 
 TARGET = Sensor(f"{WORLD}/target")

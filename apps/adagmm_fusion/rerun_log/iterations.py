@@ -28,9 +28,7 @@ def log_transformations(rec, entity: str, transformations: np.ndarray, when: Whe
     rotations = np.ascontiguousarray(transformations[:, :3, :3], dtype=np.float32)
 
     def columns_of(rows):
-        # mat3x3 is column-major on the wire; the columns API does not transpose for us as the constructor does.
-        column_major = np.ascontiguousarray(rotations[rows].transpose(0, 2, 1)).reshape(-1, 9)
-        return rr.Transform3D.columns(translation=translations[rows], mat3x3=column_major)
+        return rr.Transform3D.columns(translation=translations[rows], mat3x3=rotations[rows])
 
     when.send_rows(rec, entity, np.arange(len(transformations)), columns_of)
 

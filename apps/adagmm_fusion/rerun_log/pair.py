@@ -7,10 +7,24 @@ import rerun as rr
 from adagmm_fusion.frames import RGBDPair
 from adagmm_fusion.rerun_log import entities
 from adagmm_fusion.rerun_log.cameras import log_frustum, log_images, log_pose
-from adagmm_fusion.rerun_log.clouds import log_cloud
-from adagmm_fusion.rerun_log.colors import INITIAL_COLOR, SOURCE_COLOR, TARGET_CAMERA_COLOR, TRUTH_COLOR
+from adagmm_fusion.rerun_log.clouds import DIMMED, SHAPE, log_points, own_colors, shaded_colors
+from adagmm_fusion.rerun_log.colors import (
+    DIMMED_TARGET_COLOR,
+    INITIAL_COLOR,
+    SOURCE_COLOR,
+    TARGET_CAMERA_COLOR,
+    TARGET_COLOR,
+    TRUTH_COLOR,
+)
+from adagmm_fusion.rerun_log.diagnostics import PointDiagnostics, diagnose
+from adagmm_fusion.rerun_log.differences import log_difference, log_unobservable
+from adagmm_fusion.rerun_log.ellipsoids import log_covariances
 from adagmm_fusion.rerun_log.entities import INITIAL_SOURCE, SOURCE, TARGET, TRUE_SOURCE
 from adagmm_fusion.rerun_log.iterations import log_curve_styles, log_estimate_iterations
+from adagmm_fusion.rerun_log.legends import log_legends, log_residual_histogram, why_layers
+from adagmm_fusion.rerun_log.meshes import log_textured_mesh
+from adagmm_fusion.rerun_log.messages import log_messages
+from adagmm_fusion.rerun_log.overlay import log_overlay
 from adagmm_fusion.rerun_log.verdict import Limits, pair_report
 from adagmm_fusion.rerun_log.when import When
 
@@ -56,30 +70,60 @@ def log_pair(
     log_curve_styles(rec)
     T_truth = pair.T_target_source
     T_initial = np.eye(4) if estimate is None else np.asarray(estimate.transformations[0])
+    T_estimate = T_initial if estimate is None else np.asarray(estimate.transformation)
 
-    log_pose(rec, TARGET, np.eye(4), when)
-    log_pose(rec, INITIAL_SOURCE, T_initial, when)
-    for sensor, frame, cloud, color in (
-        (TARGET, pair.target, target_cloud, TARGET_CAMERA_COLOR),
-        (SOURCE, pair.source, source_cloud, SOURCE_COLOR),
-    ):
-        log_frustum(rec, sensor, frame.intrinsics, color, when)
-        log_images(rec, sensor, frame, when)
-        log_cloud(rec, sensor.points, cloud, when)
-    log_cloud(rec, INITIAL_SOURCE.points, source_cloud, when)
-    log_frustum(rec, INITIAL_SOURCE, pair.source.intrinsics, INITIAL_COLOR, when)
-    if T_truth is None:
-        when.clear(rec, TRUE_SOURCE.root)
-    else:
-        log_pose(rec, TRUE_SOURCE, T_truth, when)
-        log_frustum(rec, TRUE_SOURCE, pair.source.intrinsics, TRUTH_COLOR, when)
-
+    _log_sensors(rec, pair, T_initial, when)
+    rows = 1
     if estimate is None:
         log_pose(rec, SOURCE, T_initial, when)
-        rows = 1
     else:
         rows = log_estimate_iterations(rec, estimate, T_truth, when)
+    diagnostics = None
+    if estimate is not None and len(estimate.sigmas):
+        diagnostics = diagnose(
+            source_cloud, target_cloud, estimate, target_frame=pair.target, partner_distance=partner_distance
+        )
+    _log_clouds(rec, source_cloud, target_cloud, estimate, diagnostics, when)
+    log_difference(rec, T_estimate, T_truth, when)
+    moved = np.asarray(source_cloud.points) @ T_estimate[:3, :3].T + T_estimate[:3, 3]
+    log_unobservable(rec, () if estimate is None else estimate.unobservable, moved, when)
+    log_overlay(rec, pair.source, pair.target, T_estimate, when)
     if report is None:
         report = pair_report(pair.name, estimate, T_truth, limits, status=status, reason=reason, seconds=seconds)
     when.log(rec, entities.REPORT, rr.TextDocument(report, media_type=rr.MediaType.MARKDOWN))
+    log_messages(rec, pair.name, estimate, reason, when)
     return em_step + rows
+
+
+def _log_sensors(rec, pair: RGBDPair, T_initial: np.ndarray, when: When) -> None:
+    log_pose(rec, TARGET, np.eye(4), when)
+    log_pose(rec, INITIAL_SOURCE, T_initial, when)
+    log_frustum(rec, INITIAL_SOURCE, pair.source.intrinsics, INITIAL_COLOR, when)
+    for sensor, frame, color in ((TARGET, pair.target, TARGET_CAMERA_COLOR), (SOURCE, pair.source, SOURCE_COLOR)):
+        log_frustum(rec, sensor, frame.intrinsics, color, when)
+        log_images(rec, sensor, frame, when)
+        log_textured_mesh(rec, sensor.mesh, frame, when)
+    if pair.T_target_source is None:
+        when.clear(rec, TRUE_SOURCE.root)
+    else:
+        log_pose(rec, TRUE_SOURCE, pair.T_target_source, when)
+        log_frustum(rec, TRUE_SOURCE, pair.source.intrinsics, TRUTH_COLOR, when)
+
+
+def _log_clouds(rec, source, target, estimate, diagnostics: PointDiagnostics | None, when: When) -> None:
+    target_shape, source_shape = shaded_colors(target, TARGET_COLOR), shaded_colors(source, SOURCE_COLOR)
+    dim = shaded_colors(target, DIMMED_TARGET_COLOR)
+    log_points(
+        rec, TARGET.points, np.asarray(target.points), own_colors(target), when, {SHAPE: target_shape, DIMMED: dim}
+    )
+    log_points(rec, INITIAL_SOURCE.points, np.asarray(source.points), own_colors(source), when, {SHAPE: source_shape})
+    layers = {SHAPE: source_shape} | why_layers(diagnostics, len(source.points))
+    log_points(rec, SOURCE.points, np.asarray(source.points), own_colors(source), when, layers)
+    if diagnostics is not None:
+        log_legends(rec, diagnostics, when)
+        log_residual_histogram(rec, diagnostics, when)
+    for sensor, cloud, color in ((TARGET, target, TARGET_COLOR), (SOURCE, source, SOURCE_COLOR)):
+        if estimate is not None and len(estimate.sigmas) and cloud.has_covariances():
+            log_covariances(rec, sensor.covariances, cloud, estimate.sigmas, color, when)
+        else:
+            when.clear(rec, sensor.covariances)

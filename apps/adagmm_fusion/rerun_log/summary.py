@@ -50,7 +50,7 @@ def summary_markdown(rows: Sequence[SummaryRow], title: str) -> str:
     lines += ["| frame | pair | verdict | rotation [°] | translation [mm] | overlap [%] | iterations | seconds |"]
     lines += ["|--:|:--|:--|--:|--:|--:|--:|--:|"]
     for row in sorted(rows, key=_badness, reverse=True):
-        mark = {"failed": "✘ ", "ok": "✔ "}.get(row.status, "? ")
+        mark = {"failed": "× ", "ok": "✔ "}.get(row.status, "? ")
         verdict = f"{mark}{row.status}" + (f": {row.reason}" if row.reason else "")
         overlap = None if row.overlap is None else 100.0 * row.overlap
         cells = [

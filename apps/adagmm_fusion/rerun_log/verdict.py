@@ -39,17 +39,17 @@ def pair_report(name, estimate, T_truth, limits: Limits, *, status="", reason=""
         lines += [f"{seconds:.2f} s."]
     if estimate.unobservable:
         lines += ["", f"**{len(estimate.unobservable)} direction(s) not determined by the clouds**: see the arrows."]
-    lines += ["", *(f"- ⚠ {warning}" for warning in estimate.warnings)]
+    lines += ["", *(f"- **Warning:** {warning}" for warning in estimate.warnings)]
     return "\n".join(lines)
 
 
 def verdict(estimate, T_truth, limits: Limits, status="", reason="") -> str:
     """One line; the caller's own status and reason go before what the errors say."""
     if estimate is None or status == "failed":
-        return f"✘ Failed{f': {reason}' if reason else ''}"
+        return f"× Failed{f': {reason}' if reason else ''}"
     if T_truth is None:
         return "? Registered, no ground truth to compare with"
     angle_deg, distance_mm = (float(e[0]) for e in pose_errors(estimate.transformation[None], T_truth))
     if angle_deg <= limits.rotation_deg and distance_mm <= limits.translation_mm:
         return f"✔ Registered: {angle_deg:.2f}° and {distance_mm:.0f} mm off"
-    return f"✘ Failed: {angle_deg:.2f}° and {distance_mm:.0f} mm off"
+    return f"× Failed: {angle_deg:.2f}° and {distance_mm:.0f} mm off"

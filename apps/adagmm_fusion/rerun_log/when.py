@@ -30,6 +30,16 @@ class When:
         rec.log(entity, *archetypes)
         rec.reset_time()
 
+    def log_event(self, rec: rr.RecordingStream, entity: str, iteration: int, *archetypes) -> None:
+        """Log what happened in one EM iteration."""
+        if self.frame_index is None:
+            rec.set_time(ITERATION, sequence=iteration)
+        else:
+            rec.set_time(FRAME, sequence=self.frame_index)
+            rec.set_time(EM_STEP, sequence=self.em_step + iteration)
+        rec.log(entity, *archetypes)
+        rec.reset_time()
+
     def clear(self, rec: rr.RecordingStream, entity: str) -> None:
         """This pair has nothing at `entity`: without it the pair before would still show."""
         if self.frame_index is not None:

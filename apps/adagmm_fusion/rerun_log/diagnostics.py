@@ -1,0 +1,102 @@
+"""Why a registration went as it did, point by point: who pulls, how far off each is, who can have a partner."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import open3d as o3d
+from scipy.spatial import cKDTree
+
+from adagmm_fusion.frames import RGBDFrame
+from adagmm_o3d.kernels.pair_loop import PairLoop
+from adagmm_o3d.mixture import make_mixture, normalise
+
+HIDDEN, CONTRADICTED, PARTNER = 0, 1, 2
+SPACINGS_TO_A_PARTNER = 3.0
+MILLIMETRES_PER_METRE = 1000.0
+
+
+@dataclass(frozen=True)
+class PointDiagnostics:
+    """What is known of each source point at the estimated pose; M points.
+
+    weight_share : (M,) its share of the pair weights, times M: 1 is average, 0 is ignored.
+    residual_mm : (M,) distance to the target's surface, along its normal where it has them; NaN without partner.
+    overlap : (M,) PARTNER: the target has a point within `partner_distance`. HIDDEN: outside the target's image, or
+        behind what it sees. CONTRADICTED: in front of what the target sees, or in its sight with nothing there.
+    partner_distance : [m].
+    """
+
+    weight_share: np.ndarray
+    residual_mm: np.ndarray
+    overlap: np.ndarray
+    partner_distance: float
+
+
+def diagnose(
+    source: o3d.geometry.PointCloud,
+    target: o3d.geometry.PointCloud,
+    estimate,
+    *,
+    target_frame: RGBDFrame | None = None,
+    partner_distance: float | None = None,
+) -> PointDiagnostics:
+    """Look at every source point at the estimate's pose.
+
+    Parameters
+    ----------
+    source, target : what was registered, points [m].
+    estimate : with transformation (4, 4) and sigmas (K,).
+    target_frame : the target's depth image, to tell points it cannot see from points that contradict it; without it
+        every point without partner counts as HIDDEN.
+    partner_distance : [m]; None for three times the target's median spacing.
+    """
+    if partner_distance is None:
+        partner_distance = SPACINGS_TO_A_PARTNER * float(np.median(target.compute_nearest_neighbor_distance()))
+    T = np.asarray(estimate.transformation)
+    moved = np.asarray(source.points) @ T[:3, :3].T + T[:3, 3]
+    distances, nearest = cKDTree(np.asarray(target.points)).query(moved)
+    has_partner = distances <= partner_distance
+    residuals = distances
+    if target.has_normals():
+        gap = moved - np.asarray(target.points)[nearest]
+        residuals = np.abs(np.einsum("ij,ij->i", gap, np.asarray(target.normals)[nearest]))
+    overlap = np.where(has_partner, PARTNER, HIDDEN)
+    if target_frame is not None:
+        overlap[~has_partner & _contradicted(moved, target_frame, partner_distance)] = CONTRADICTED
+    return PointDiagnostics(
+        weight_share=weight_shares(source, target, T, float(estimate.sigmas[-1])),
+        residual_mm=np.where(has_partner, residuals * MILLIMETRES_PER_METRE, np.nan),
+        overlap=overlap,
+        partner_distance=partner_distance,
+    )
+
+
+def weight_shares(
+    source: o3d.geometry.PointCloud, target: o3d.geometry.PointCloud, T: np.ndarray, sigma: float
+) -> np.ndarray:
+    """(M,) each source point's share of the E-step's pair weights at pose T (4, 4) and scale sigma [m²], times M."""
+    mixtures, used = [], None
+    for name, cloud in (("source", source), ("target", target)):
+        covariances = np.asarray(cloud.covariances) if cloud.has_covariances() else None
+        mixtures.append(make_mixture(name, np.asarray(cloud.points), covariances))
+        if name == "source":
+            used = slice(None) if covariances is None else np.isfinite(covariances).all(axis=(1, 2))
+    source_mixture, target_mixture, normalisation = normalise(*mixtures)
+    scaled = sigma / normalisation.scale**2
+    row_weights = PairLoop(source_mixture, target_mixture).sums(normalisation.pose_in(T), scaled, scaled).row_weights
+    shares = np.zeros(len(source.points))
+    shares[used] = row_weights * len(row_weights) / max(row_weights.sum(), np.finfo(np.float64).tiny)
+    return shares
+
+
+def _contradicted(points: np.ndarray, frame: RGBDFrame, margin: float) -> np.ndarray:
+    """(M,) whether the target camera measured something clearly behind the point: it looked through it."""
+    camera, depth = frame.intrinsics, frame.depth_m()
+    z = points[:, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = np.floor(camera.fx * points[:, 0] / z + camera.cx + 0.5)
+        v = np.floor(camera.fy * points[:, 1] / z + camera.cy + 0.5)
+    inside = (z > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    measured = np.full(len(points), np.nan)
+    measured[inside] = depth[v[inside].astype(int), u[inside].astype(int)]
+    return inside & (measured > z + margin)

@@ -1,0 +1,57 @@
+"""What the estimate gets wrong, and what it could not know: marks and words in the 3D scene."""
+
+import numpy as np
+import rerun as rr
+
+from adagmm_fusion.rerun_log import entities
+from adagmm_fusion.rerun_log.colors import DIFFERENCE_COLOR, UNOBSERVABLE_COLOR
+from adagmm_fusion.rerun_log.iterations import pose_errors
+from adagmm_fusion.rerun_log.when import When
+
+ARROW_LENGTH = 0.5
+ARROW_RADIUS = 0.012
+
+
+def log_difference(rec, T_estimate: np.ndarray, T_truth: np.ndarray | None, when: When) -> None:
+    """An arrow from the estimated to the true place of the source sensor, with the difference written beside it."""
+    if T_truth is None:
+        when.clear(rec, entities.DIFFERENCE)
+        return
+    angle_deg, distance_mm = (float(e[0]) for e in pose_errors(T_estimate[None], T_truth))
+    arrow = rr.Arrows3D(
+        origins=T_estimate[:3, 3],
+        vectors=T_truth[:3, 3] - T_estimate[:3, 3],
+        radii=0.5 * ARROW_RADIUS,
+        colors=DIFFERENCE_COLOR,
+        labels=f"{angle_deg:.2f}°, {distance_mm:.0f} mm off",
+        show_labels=True,
+    )
+    when.log(rec, entities.DIFFERENCE, arrow)
+
+
+def log_unobservable(rec, unobservable, points: np.ndarray, when: When) -> None:
+    """An arrow for each direction that the clouds leave free: along it the source slides, or about it it turns.
+
+    unobservable : unit tangents (ω, v) (6,) of δ in exp(δ)·T, in the target's frame, ω scaled by the clouds' radius.
+    points : (M, 3) [m], the source at the estimate, for the place where the arrow starts.
+    """
+    if len(unobservable) == 0:
+        when.clear(rec, entities.UNOBSERVABLE)
+        return
+    center = points.mean(axis=0)
+    vectors, labels = [], []
+    for tangent in unobservable:
+        turn, slide = np.asarray(tangent[:3]), np.asarray(tangent[3:])
+        turns = np.linalg.norm(turn) > np.linalg.norm(slide)
+        direction = turn if turns else slide
+        vectors.append(ARROW_LENGTH * direction / np.linalg.norm(direction))
+        labels.append("free: turns about this axis" if turns else "free: slides this way")
+    arrows = rr.Arrows3D(
+        origins=np.tile(center, (len(vectors), 1)),
+        vectors=np.array(vectors),
+        radii=ARROW_RADIUS,
+        colors=UNOBSERVABLE_COLOR,
+        labels=labels,
+        show_labels=True,
+    )
+    when.log(rec, entities.UNOBSERVABLE, arrows)

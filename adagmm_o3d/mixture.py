@@ -40,7 +40,12 @@ class Mixture:
     def take(self, index: NDArray) -> Mixture:
         """The mixture of the chosen components."""
         return Mixture(
-            self.points[index], self.covariances[index], self.weights[index], self.dimension, self.isotropic, self.dropped
+            self.points[index],
+            self.covariances[index],
+            self.weights[index],
+            self.dimension,
+            self.isotropic,
+            self.dropped,
         )
 
     def variances(self) -> Array:
@@ -48,6 +53,13 @@ class Mixture:
         if self.isotropic:
             return self.covariances[:, 0, 0].copy()
         return np.linalg.det(self.covariances) ** (1.0 / self.dimension)
+
+    def packed_covariances(self) -> Array:
+        """(6, n) covariances, packed as xx, xy, xz, yy, yz, zz; in 2D what has a z is zero."""
+        packed = np.stack([self.covariances[:, i, j] for i, j in PACKED])
+        if self.dimension == 2:
+            packed[5] = 0.0
+        return packed
 
     def packed_precisions(self) -> Array:
         """(6, n) inverse covariances, packed as xx, xy, xz, yy, yz, zz; in 2D what has a z is zero."""
@@ -63,7 +75,9 @@ class Mixture:
         return np.linalg.eigvalsh(self.covariances[:, : self.dimension, : self.dimension])[:, -1]
 
 
-def make_mixture(name: str, points: ArrayLike, covariances: ArrayLike | None, weights: ArrayLike | None = None) -> Mixture:
+def make_mixture(
+    name: str, points: ArrayLike, covariances: ArrayLike | None, weights: ArrayLike | None = None
+) -> Mixture:
     """Check one cloud and lift it into three dimensions.
 
     Parameters
@@ -155,7 +169,11 @@ def _check_positive_definite(name: str, c: Array, usable: NDArray[np.bool_]) -> 
 def _check_spread(name: str, p: Array) -> None:
     """Points in one place leave the rotation free; in 3D so do points on one line."""
     centred = p - p.mean(axis=0)
-    spread = np.linalg.svd(centred, compute_uv=False) if len(p) < 50 else np.sqrt(np.linalg.eigvalsh(centred.T @ centred)[::-1])
+    spread = (
+        np.linalg.svd(centred, compute_uv=False)
+        if len(p) < 50
+        else np.sqrt(np.linalg.eigvalsh(centred.T @ centred)[::-1])
+    )
     rank = int((spread > 1e-7 * max(spread[0], 1e-12 * np.abs(p).max())).sum()) if spread[0] > 0 else 0
     if rank < p.shape[1] - 1:
         shape = "in one place" if rank == 0 else "on one line"
@@ -199,7 +217,9 @@ def normalise(source: Mixture, target: Mixture) -> tuple[Mixture, Mixture, Norma
 
     Points far vaguer than the rest (flagged outliers) hardly count for centroid and radius.
     """
-    weights = [m.weights * np.minimum(1.0, VAGUE * np.median(v) / v) for m in (source, target) for v in (m.variances(),)]
+    weights = [
+        m.weights * np.minimum(1.0, VAGUE * np.median(v) / v) for m in (source, target) for v in (m.variances(),)
+    ]
     centres = [np.average(m.points, axis=0, weights=w) for m, w in zip((source, target), weights, strict=True)]
     radii = [
         np.sqrt(np.average(((m.points - c) ** 2).sum(axis=1), weights=w))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -10,15 +9,13 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import ArrayLike
 
-from .arguments import Array, whole_number
-from .em import Criteria, Trace, expectation_maximisation
+from .em import Criteria, expectation_maximisation
 from .errors import InputError
 from .kernels.pair_loop import PairLoop
-from .lie import project_to_rotation, split
-from .mixture import Mixture, Normalisation, make_mixture, normalise
+from .mixture import make_mixture, normalise
 from .options import DEFAULT_MAX_ITERATION, TransformationEstimationForAdaptiveGMM
-from .result import PointRegistrationResult, StopReason
-from .schedule import Annealed, FigureTwo, NearestDistance, SigmaRule
+from .result import PointRegistrationResult
+from .schedule import Annealed, FigureTwo, NearestDistance
 
 # A pose handed over by another program has float32 digits.
 INIT_TOLERANCE = 1e-4
@@ -36,8 +33,7 @@ def register_points(
     device: str = "auto",
     callback_after_iteration: Callable[[dict[str, Any]], None] | None = None,
 ) -> PointRegistrationResult:
-    """Register the points `source` onto `target` as adaptive Gaussian mixtures, in 2D or 3D.
-    """
+    """Register the points `source` onto `target` as adaptive Gaussian mixtures, in 2D or 3D."""
     method = estimation_method or TransformationEstimationForAdaptiveGMM()
     criteria = criteria or o3d.pipelines.registration.ICPConvergenceCriteria(max_iteration=DEFAULT_MAX_ITERATION)
     limits = Criteria(criteria.relative_fitness, criteria.relative_rmse, criteria.max_iteration)
@@ -51,7 +47,9 @@ def register_points(
     if init is not None:
         start = norm.pose_in(_lift_pose(np.asarray(init, float), D))
     pairs = PairLoop(s, t)
-    rule = {"annealed": lambda: Annealed(D), "nearest": lambda: NearestDistance(D), "figure2": FigureTwo}[method.sigma_rule]()
+    rule = {"annealed": lambda: Annealed(D), "nearest": lambda: NearestDistance(D), "figure2": FigureTwo}[
+        method.sigma_rule
+    ]()
     trace = expectation_maximisation(pairs, start, rule, limits, D, method.relaxation)
     poses = _lower_pose(norm.pose_out(np.array(trace.poses)), D)
     return poses[-1], trace

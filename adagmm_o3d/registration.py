@@ -146,7 +146,9 @@ def _estimation_method(method: Any) -> TransformationEstimationForAdaptiveGMM:
             f"got {type(method).__name__}"
         )
     if getattr(method, "with_scaling", False):
-        raise InputError("estimation_method: with_scaling is on, but a rigid registration estimates no scale; turn it off")
+        raise InputError(
+            "estimation_method: with_scaling is on, but a rigid registration estimates no scale; turn it off"
+        )
     return TransformationEstimationForAdaptiveGMM()
 
 
@@ -156,4 +158,3 @@ def _criteria(criteria: Any) -> LegacyCriteria | TensorCriteria:
     if not isinstance(criteria, (LegacyCriteria, TensorCriteria)):
         raise InputTypeError(f"criteria: expected Open3D's ICPConvergenceCriteria, got {type(criteria).__name__}")
     return criteria
-

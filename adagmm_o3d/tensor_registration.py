@@ -98,9 +98,7 @@ def _as_tensors(callback: Callback | None) -> Callback | None:
     def forward(values: dict[str, Any]) -> None:
         callback(
             {
-                key: o3d.core.Tensor(
-                    np.asarray(value), o3d.core.int64 if key in INTEGER_KEYS else o3d.core.float64
-                )
+                key: o3d.core.Tensor(np.asarray(value), o3d.core.int64 if key in INTEGER_KEYS else o3d.core.float64)
                 for key, value in values.items()
             }
         )

@@ -6,9 +6,9 @@ import pytest
 import reference
 from mixtures import random_points_and_covariances, random_pose
 
-from adagmm_o3d.kernels.cpu import CLUSTER, TILE
+from adagmm_o3d.kernels.culling import CHUNK, CLUSTER, TILE
 from adagmm_o3d.kernels.exp2 import exp2_float32
-from adagmm_o3d.kernels.pair_loop import CHUNK, PairLoop
+from adagmm_o3d.kernels.pair_loop import PairLoop
 from adagmm_o3d.mixture import make_mixture
 
 FREE = {2: [2, 3, 4], 3: [0, 1, 2, 3, 4, 5]}

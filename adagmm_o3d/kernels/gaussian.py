@@ -48,7 +48,20 @@ def build(jit):
             dot(r[8], r[9], r[10], c0, c1, c2),
         )
 
+    @jit
+    def adjugate(p0, p1, p2, p3, p4, p5):
+        """The packed adjugate of a packed symmetric P; divided by |P| it is the inverse, its first row · P's is |P|."""
+        return (
+            p3 * p5 - p4 * p4,
+            p2 * p4 - p1 * p5,
+            p1 * p4 - p2 * p3,
+            p0 * p5 - p2 * p2,
+            p1 * p2 - p0 * p4,
+            p0 * p3 - p1 * p1,
+        )
+
     return SimpleNamespace(
+        adjugate=adjugate,
         symmetric_product=symmetric_product,
         dot=dot,
         cross=cross,

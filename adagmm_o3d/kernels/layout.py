@@ -1,19 +1,23 @@
 """The order of the numbers that one source point, and one pass over all pairs, leave behind; shared by all devices.
 
-With C the weight of a pair, d = y - x, A and B the two precisions over sigma (the paper's Eq. 5):
+C is the weight of a pair, d = y - x, A and B the two precisions over sigma (the paper's Eq. 5).
 """
 
-# Sums over all target points for one source point.
+# Sums over all target points for one source point. With convolved weights the precision P of the pair stands for
+# A + B, and nothing turns.
 WEIGHT = 0  # Σ C
 ENERGY = 1  # Σ C dᵀ(A + B)d
-PRECISION = 2  # 2..7: Σ C A, packed
+PRECISION = 2  # 2..7: Σ C A (Σ C P), packed
 PULL = 8  # 8..10: Σ C (A + B) d
 TURN = 11  # 11..13: Σ C d x (B d), the part of the gradient that is there because B turns with R
-ROW_SUMS = 14
+DENSITY = 14  # the target mixture's density at the source point (convolved weights only)
+ROW_SUMS = 15
 
 # Sums over all pairs, for a left perturbation exp(δ)·T with δ = (ω, v): what the M-step needs.
 HESSIAN = 0  # 0..20: the upper triangle of the 6x6 Gauss-Newton matrix, row by row
 GRADIENT = 21  # 21..26
 TOTAL_WEIGHT = 27
 TOTAL_ENERGY = 28
-TOTAL_SUMS = 29
+TOTAL_LIKELIHOOD = 29  # Σ weight · log(1 + density / uniform) (convolved weights only)
+TOTAL_MATCHED = 30  # Σ weight · the probability to have a partner (convolved weights only)
+TOTAL_SUMS = 31

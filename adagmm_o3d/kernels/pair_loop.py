@@ -9,12 +9,16 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arguments import Array
 from ..mixture import Mixture
-from . import cpu
-from .layout import GRADIENT, HESSIAN, TOTAL_ENERGY, TOTAL_SUMS, TOTAL_WEIGHT
-from .tiles import Tiles, make_tiles, morton_order
+from .adaptive_sums import adaptive_sums
+from .convolution_sums import convolution_sums
+from .culling import CHUNK, CLUSTER
+from .layout import GRADIENT, HESSIAN, TOTAL_ENERGY, TOTAL_LIKELIHOOD, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
+from .nearest import nearest_sq
+from .tiles import make_tiles, morton_order
 
-Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
 
 # exp(-q/2) = 2**-(LOG2_SCALE q): the kernels know only powers of two.
 LOG2_SCALE = 0.5 / math.log(2.0)
@@ -22,7 +26,8 @@ LOG2_SCALE = 0.5 / math.log(2.0)
 CUT_BITS = 24.0
 # With fewer pairs than this for each thread, waking it costs more than it brings.
 PAIRS_PER_THREAD = 200_000
-CHUNK = cpu.CLUSTER * cpu.CLUSTERS_PER_CHUNK
+# The column sums are kept apart for this many parts of the source, whatever the number of threads, and added in order.
+BANDS = 16
 UPPER = np.triu_indices(6)
 
 
@@ -41,21 +46,50 @@ class PairSums:
     row_weights: Array
 
 
+@dataclass(frozen=True)
+class PosteriorSums(PairSums):
+    """The same with weights that are posterior probabilities; row_weights are those of having a partner at all.
+
+    log_likelihood : Σ over both clouds of weight · log(1 + density of the other mixture / uniform density).
+    overlap, target_overlap : share of the source, of the target, that has a partner.
+    """
+
+    log_likelihood: float
+    overlap: float
+    target_overlap: float
+
+
 class _Side:
     """One mixture as the kernels want it: neighbours together, float32, one row per component."""
 
     def __init__(self, mixture: Mixture, isotropic: bool) -> None:
-        amplitudes = mixture.weights * mixture.variances() ** (-0.5 * mixture.dimension)
+        amplitudes = mixture.variances() ** (-0.5 * mixture.dimension)
         amplitudes /= amplitudes.max()
-        # A pair cannot weigh more than the amplitude of its vaguer half: what is too vague reaches nowhere by itself.
+        # A pair weighs at most what its vaguer half allows: what is too vague reaches nowhere by itself.
         bits = np.maximum(0.0, CUT_BITS + np.log2(amplitudes))
-        reaches_sq = bits / LOG2_SCALE * mixture.largest_variances()
+        self._rows = 1 if isotropic else 6
+        self._mixture = mixture
         self.order = morton_order(mixture.points, last=bits == 0.0)
         self.points = _float32(mixture.points[self.order].T)
-        precisions = LOG2_SCALE * mixture.packed_precisions()[: 1 if isotropic else 6, self.order]
-        self.precisions = _float32(precisions)
-        self.amplitudes = _float32(amplitudes[self.order])
-        self.reaches_sq = _float32(reaches_sq[self.order])
+        self.amplitudes = _float32((amplitudes * mixture.weights)[self.order])
+        self.weights = mixture.weights[self.order] / mixture.weights.sum()
+        self.weights32 = _float32(self.weights)
+        self.variances = _float32(mixture.largest_variances()[self.order] / LOG2_SCALE)
+        self.bits = _float32(bits[self.order])
+
+    def precisions(self) -> Float32:
+        """(1 or 6, n) packed inverse covariances, in powers of two."""
+        return _float32(LOG2_SCALE * self._mixture.packed_precisions()[: self._rows, self.order])
+
+    def covariances(self) -> Float32:
+        """(1 or 6, n) packed covariances, in powers of two."""
+        return _float32(self._mixture.packed_covariances()[: self._rows, self.order] / LOG2_SCALE)
+
+    def restore(self, values: Array) -> Array:
+        """Values in the kernels' order, put back into the mixture's."""
+        restored = np.empty_like(values)
+        restored[self.order] = values
+        return restored
 
 
 class PairLoop:
@@ -63,60 +97,105 @@ class PairLoop:
 
     def __init__(self, source: Mixture, target: Mixture) -> None:
         self._isotropic = source.isotropic and target.isotropic
+        self._planar = source.dimension == 2
         self._source, self._target = _Side(source, self._isotropic), _Side(target, self._isotropic)
-        self._tiles: Tiles = make_tiles(self._target.points, self._target.reaches_sq)
+        self._tiles = make_tiles(self._target.points, self._target.variances, self._target.bits)
         self._chunks = -(-len(source) // CHUNK)
-        self._partials = np.empty((self._chunks, TOTAL_SUMS))
-        self._row_weights, self._nearest = np.empty(len(source)), np.empty(len(source))
-        self._no_reach = np.zeros(len(source), np.float32)
-        self._scaled = np.empty_like(self._target.precisions)
+        self._bands = min(BANDS, -(-len(source) // CLUSTER))
         self._threads = max(1, min(numba.get_num_threads(), len(source) * len(target) // PAIRS_PER_THREAD))
+        self._precisions: tuple[Float32, Float32] | None = None
+        self._covariances: tuple[Float32, Float32] | None = None
+        self._scaled = np.empty((1 if self._isotropic else 6, len(target)), np.float32)
+        self._columns = np.empty((self._bands, len(target)), np.float32)
 
     def sums(self, pose: Array, source_sigma: float, target_sigma: float) -> PairSums:
-        """The E-step at `pose` (4, 4), the covariances of either side times its σ, summed up for the M-step."""
+        """The paper's E-step at `pose` (4, 4), the covariances of either side times its σ, summed up for the M-step."""
         source, target = self._source, self._target
-        np.multiply(target.precisions, np.float32(1.0 / target_sigma), out=self._scaled)
+        if self._precisions is None:
+            self._precisions = source.precisions(), target.precisions()
+        np.multiply(self._precisions[1], np.float32(1.0 / target_sigma), out=self._scaled)
+        partials, row_weights = np.empty((self._chunks, TOTAL_SUMS)), np.empty(len(source.order))
         self._run(
-            cpu.pair_sums,
+            adaptive_sums,
             _packed_pose(pose),
             np.array([source_sigma, target_sigma], np.float32),
-            (source.points, source.precisions, source.amplitudes, source.reaches_sq),
+            (source.points, self._precisions[0], source.amplitudes, source.variances, source.bits),
             (target.points, self._scaled, target.amplitudes),
             self._tiles,
             self._isotropic,
             0,
             self._chunks,
-            self._partials,
-            self._row_weights,
+            partials,
+            row_weights,
         )
-        total = np.add.reduce(self._partials, axis=0)
-        total[:TOTAL_WEIGHT] /= LOG2_SCALE
-        total[TOTAL_ENERGY] /= LOG2_SCALE
-        hessian = np.empty((6, 6))
-        hessian[UPPER] = total[HESSIAN:GRADIENT]
-        hessian.T[UPPER] = total[HESSIAN:GRADIENT]
-        row_weights = np.empty_like(self._row_weights)
-        row_weights[source.order] = self._row_weights
+        total = _total(partials)
         return PairSums(
-            hessian, total[GRADIENT:TOTAL_WEIGHT].copy(), total[TOTAL_WEIGHT], total[TOTAL_ENERGY], row_weights
+            _symmetric(total[HESSIAN:GRADIENT]),
+            total[GRADIENT:TOTAL_WEIGHT],
+            total[TOTAL_WEIGHT],
+            total[TOTAL_ENERGY],
+            source.restore(row_weights),
         )
+
+    def posterior_sums(
+        self, pose: Array, sigma: float, uniform: float, column_densities: Array | None = None
+    ) -> tuple[PosteriorSums, Array]:
+        """The E-step on convolved Gaussians at `pose` (4, 4), summed up for the M-step; and the column densities.
+
+        uniform : density of the points without a partner, in units of (2π)^(-D/2) per normalised volume.
+        column_densities : (N,) density of the source mixture at the target points, as the pass before returned it. With
+            it a pair's weight is the geometric mean of its two posteriors, seen from the source and from the target;
+            without, the one seen from the source.
+        """
+        source, target = self._source, self._target
+        if self._covariances is None:
+            self._covariances = source.covariances(), target.covariances()
+        np.multiply(self._covariances[1], np.float32(sigma), out=self._scaled)
+        factor = np.ones(len(target.order), np.float32)
+        if column_densities is not None:
+            factor = _float32(np.sqrt(uniform / (column_densities[target.order] + uniform)))
+        partials, densities = np.empty((self._bands, TOTAL_SUMS)), np.empty(len(source.order))
+        unit = LOG2_SCALE ** (1.0 if self._planar else 1.5)  # |Σ|^(-1/2) in powers of two
+        self._run(
+            convolution_sums,
+            _packed_pose(pose),
+            np.array([sigma, sigma], np.float32),
+            (source.points, self._covariances[0], source.weights, source.weights32, source.variances, source.bits),
+            (target.points, self._scaled, target.weights32, factor),
+            self._tiles,
+            self._isotropic,
+            self._planar,
+            uniform * unit,
+            column_densities is not None,
+            self._bands,
+            self._columns,
+            partials,
+            densities,
+        )
+        total = _total(partials)
+        columns = np.add.reduce(self._columns, axis=0, dtype=np.float64) / (unit * target.weights)
+        densities /= unit
+        posterior = densities / (densities + uniform)
+        log_likelihood = total[TOTAL_LIKELIHOOD] + float(target.weights @ np.log1p(columns / uniform))
+        sums = PosteriorSums(
+            _symmetric(total[HESSIAN:GRADIENT]),
+            total[GRADIENT:TOTAL_WEIGHT],
+            total[TOTAL_WEIGHT],
+            total[TOTAL_ENERGY],
+            source.restore(posterior),
+            log_likelihood,
+            total[TOTAL_MATCHED],
+            float(target.weights @ (columns / (columns + uniform))),
+        )
+        return sums, target.restore(columns)
 
     def nearest_sq(self, pose: Array) -> Array:
         """(M,) squared distance of each source point at `pose` to its nearest target point."""
+        nearest = np.empty(len(self._source.order))
         self._run(
-            cpu.nearest_sq,
-            _packed_pose(pose),
-            self._source.points,
-            self._no_reach,
-            self._target.points,
-            self._tiles,
-            0,
-            self._chunks,
-            self._nearest,
+            nearest_sq, _packed_pose(pose), self._source.points, self._target.points, self._tiles, 0, self._chunks, nearest
         )
-        nearest = np.empty_like(self._nearest)
-        nearest[self._source.order] = self._nearest
-        return nearest
+        return self._source.restore(nearest)
 
     def _run(self, kernel, *args) -> None:
         threads = numba.get_num_threads()
@@ -127,9 +206,24 @@ class PairLoop:
             numba.set_num_threads(threads)
 
 
-def _packed_pose(pose: Array) -> NDArray[np.float32]:
+def _total(partials: Array) -> Array:
+    """The partial sums, added in order and out of powers of two."""
+    total = np.add.reduce(partials, axis=0)
+    total[:TOTAL_WEIGHT] /= LOG2_SCALE
+    total[TOTAL_ENERGY] /= LOG2_SCALE
+    return total
+
+
+def _symmetric(upper: Array) -> Array:
+    matrix = np.empty((6, 6))
+    matrix[UPPER] = upper
+    matrix.T[UPPER] = upper
+    return matrix
+
+
+def _packed_pose(pose: Array) -> Float32:
     return np.ascontiguousarray(pose[:3], np.float32).ravel()
 
 
-def _float32(array: Array) -> NDArray[np.float32]:
+def _float32(array: Array) -> Float32:
     return np.ascontiguousarray(array, np.float32)

@@ -1,4 +1,4 @@
-"""Points put in an order in which neighbours lie together, cut into tiles with bounding boxes: what culling works on."""
+"""Points put in an order in which neighbours lie together, cut into tiles with bounding boxes for the culling."""
 
 from __future__ import annotations
 
@@ -7,29 +7,31 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .cpu import GROUP, TILE
+from .culling import GROUP, TILE
 
 Float32 = NDArray[np.float32]
 
 
 class Tiles(NamedTuple):
-    """Boxes of runs of TILE points and of groups of GROUP tiles, (3, count), and the largest reach² at σ = 1 in each."""
+    """Boxes of runs of TILE points and of groups of GROUP tiles, (3, count), with the reach of what is in them."""
 
     lo: Float32
     hi: Float32
-    reach_sq: Float32
+    variance: Float32
+    bits: Float32
     group_lo: Float32
     group_hi: Float32
-    group_reach_sq: Float32
+    group_variance: Float32
+    group_bits: Float32
 
 
-def make_tiles(points: Float32, reaches_sq: Float32) -> Tiles:
-    """The tiles of (3, n) ordered points with (n,) squared reaches."""
+def make_tiles(points: Float32, variances: Float32, bits: Float32) -> Tiles:
+    """The tiles of (3, n) ordered points, the largest principal variance and the bits of each; see `culling.reach_sq`."""
     lo, hi = _reduce(np.minimum, points, TILE), _reduce(np.maximum, points, TILE)
-    reach_sq = _reduce(np.maximum, reaches_sq[None], TILE)
-    group_reach_sq = _reduce(np.maximum, reach_sq, GROUP)
+    reach = _reduce(np.maximum, np.stack([variances, bits]), TILE)
+    group_reach = _reduce(np.maximum, reach, GROUP)
     return Tiles(
-        lo, hi, reach_sq[0], _reduce(np.minimum, lo, GROUP), _reduce(np.maximum, hi, GROUP), group_reach_sq[0]
+        lo, hi, *reach, _reduce(np.minimum, lo, GROUP), _reduce(np.maximum, hi, GROUP), *group_reach
     )
 
 

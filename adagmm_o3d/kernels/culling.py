@@ -1,0 +1,111 @@
+"""Which target points a cluster of source points can reach: whole tiles in, whole tiles out.
+
+The target is cut into tiles of `TILE` points, GROUP tiles form a group, the source is cut into clusters of `CLUSTER`
+points; each has a bounding box. Clusters are handed out in chunks, whose partial sums are added in order afterwards:
+the same bits for any number of threads.
+"""
+
+import numpy as np
+from numba import njit
+
+from .compiling import FLAGS, formulas
+
+TILE = 64
+GROUP = 16
+CLUSTER = 8
+CLUSTERS_PER_CHUNK = 4
+CHUNK = CLUSTER * CLUSTERS_PER_CHUNK
+RUN = 1024  # target points summed in float32 before float64 takes over
+
+rotate_point = formulas.rotate_point
+
+
+@njit(**FLAGS)
+def gap_sq(lo, hi, box_lo, box_hi, i):
+    """Squared distance between two axis-aligned boxes; 0 where they meet."""
+    gap = 0.0
+    for k in range(3):
+        d = max(box_lo[k, i] - hi[k], lo[k] - box_hi[k, i], 0.0)
+        gap += d * d
+    return gap
+
+
+@njit(**FLAGS)
+def reach_sq(convolved, variance, bits, other_variance, other_bits):
+    """Squared distance beyond which no pair of two groups of points weighs anything.
+
+    `variance` is the largest principal variance in a group (times σ), `bits` the powers of two by which a weight may
+    fall before it is lost, fewer for vague points. The paper's weight lives as long as either point's own Gaussian
+    does; a convolved one has the sum of the variances and at most the amplitude of the vaguer point.
+    """
+    if convolved:
+        return (variance + other_variance) * min(bits, other_bits)
+    return max(variance * bits, other_variance * other_bits)
+
+
+@njit(**FLAGS)
+def next_run(tile, box, sigma, tiles, convolved, n):
+    """The next run of target points within reach of a source cluster, from `tile` on: (first, past the last, next tile).
+
+    `box` is the cluster's (corners, variance, bits), see `cluster_box`; `sigma` scales the target's variances. Groups of
+    GROUP tiles are skipped whole. A run ends at the first tile out of reach or after RUN points.
+    """
+    lo, hi, variance, bits = box
+    tile_lo, tile_hi, tile_variance, tile_bits, group_lo, group_hi, group_variance, group_bits = tiles
+    count = tile_lo.shape[1]
+    first = -1
+    while tile < count:
+        if first < 0 and tile % GROUP == 0:
+            g = tile // GROUP
+            limit = reach_sq(convolved, variance, bits, sigma * group_variance[g], group_bits[g])
+            if gap_sq(lo, hi, group_lo, group_hi, g) >= limit:
+                tile += GROUP
+                continue
+        limit = reach_sq(convolved, variance, bits, sigma * tile_variance[tile], tile_bits[tile])
+        if gap_sq(lo, hi, tile_lo, tile_hi, tile) >= limit:
+            if first >= 0:
+                break
+        elif first < 0:
+            first = tile * TILE
+        tile += 1
+        if first >= 0 and tile * TILE - first >= RUN:
+            break
+    if first < 0:
+        return n, n, count
+    return first, min(n, tile * TILE), tile
+
+
+@njit(**FLAGS)
+def closest_tile(lo, hi, box_lo, box_hi, group_lo, group_hi):
+    """The tile whose box is nearest to the box (lo, hi); where to begin the search."""
+    best, closest = np.inf, 0
+    for g in range(group_lo.shape[1]):
+        if gap_sq(lo, hi, group_lo, group_hi, g) >= best:
+            continue
+        for tile in range(g * GROUP, min(box_lo.shape[1], (g + 1) * GROUP)):
+            gap = gap_sq(lo, hi, box_lo, box_hi, tile)
+            if gap < best:
+                best, closest = gap, tile
+    return closest
+
+
+@njit(**FLAGS)
+def cluster_box(pose, points, m0, m1, y, lo, hi):
+    """Move source points m0..m1 into `y` and the corners of their box into `lo`, `hi`."""
+    lo[:] = np.inf
+    hi[:] = -np.inf
+    for m in range(m0, m1):
+        k = m - m0
+        y[0, k], y[1, k], y[2, k] = rotate_point(pose, points[0, m], points[1, m], points[2, m])
+        for i in range(3):
+            lo[i] = min(lo[i], y[i, k])
+            hi[i] = max(hi[i], y[i, k])
+
+
+@njit(**FLAGS)
+def largest(values, m0, m1):
+    """The largest of values[m0:m1]."""
+    most = values[m0]
+    for m in range(m0 + 1, m1):
+        most = max(most, values[m])
+    return most

@@ -27,15 +27,18 @@ def _undistort(pixels: np.ndarray, intrinsics: PinholeIntrinsics) -> np.ndarray:
     """(N, 2) rays of (N, 2) pixels, by projecting and correcting until no pixel is off by more than a millionth."""
     K, distortion = intrinsics.matrix(), np.array(intrinsics.distortion)
     rays = cv2.undistortPoints(pixels.reshape(-1, 1, 2), K, distortion).reshape(-1, 2)
-    for _ in range(50):
-        homogeneous = np.column_stack((rays, np.ones(len(rays))))
+    left = np.arange(len(pixels))
+    for _ in range(100):
+        homogeneous = np.column_stack((rays[left], np.ones(len(left))))
         seen, _ = cv2.projectPoints(homogeneous, np.zeros(3), np.zeros(3), K, distortion)
-        miss = seen.reshape(-1, 2) - pixels
-        if np.abs(miss).max() < 1e-6:
+        miss = seen.reshape(-1, 2) - pixels[left]
+        off = ~(np.abs(miss).max(axis=1) < 1e-6)
+        left, miss = left[off], miss[off]
+        if not left.size:
             return rays
-        rays = rays - miss / (intrinsics.fx, intrinsics.fy)
+        rays[left] -= miss / (intrinsics.fx, intrinsics.fy)
     raise InputError(
-        f"intrinsics.distortion: cannot be undone in a {intrinsics.width}x{intrinsics.height} image, the model folds over "
+        f"intrinsics.distortion: cannot be undone in {intrinsics.width}x{intrinsics.height} pixels, the model folds over "
         f"inside it; recalibrate with fewer coefficients (got {', '.join(f'{k:g}' for k in intrinsics.distortion)})"
     )
 

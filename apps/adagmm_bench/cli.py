@@ -1,0 +1,48 @@
+"""The command `adagmm-bench`. Errors made on purpose end in one line on stderr and exit code 1."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from functools import partial
+
+from adagmm_bench.commands import methods_list, simulations
+from adagmm_o3d.errors import AdaGMMError
+
+INTERRUPTED = 130
+
+
+def build_parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="adagmm-bench", description="The paper's experiments, with other registration methods beside ours."
+    )
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    def add(name: str, summary: str, add_arguments: Callable, run: Callable) -> None:
+        command = commands.add_parser(name, help=summary, description=summary)
+        add_arguments(command)
+        command.set_defaults(run=run)
+
+    for dimension in (2, 3):
+        add(
+            f"sim{dimension}d",
+            f"the four sweeps of Section 4.1 in {dimension}D",
+            partial(simulations.add_arguments, dimension=dimension),
+            partial(simulations.run, dimension=dimension),
+        )
+    add("methods", "the methods, their settings, and which can run here", methods_list.add_arguments, methods_list.run)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; 0 when it did what it was asked to, 1 on an error or a regression, 2 on wrong usage."""
+    parsed = build_parser().parse_args(arguments)
+    try:
+        return parsed.run(parsed)
+    except AdaGMMError as error:
+        print(f"adagmm-bench: {' '.join(str(error).split())}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("adagmm-bench: stopped; the same command goes on from here", file=sys.stderr)
+        return INTERRUPTED

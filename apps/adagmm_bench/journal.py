@@ -1,0 +1,69 @@
+"""Results as they come: one JSON object a line, so that a run that was stopped goes on where it was.
+
+The last line may be torn by a power cut or a kill; it is dropped. Anything else that is not a record is an error.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+from pathlib import Path
+
+from adagmm_fusion.errors import OutputError
+from adagmm_o3d.errors import InputError
+
+
+class Journal:
+    """Records by their "key", appended to a file that one process at a time may hold open.
+
+    Raises
+    ------
+    OutputError  if the file cannot be written, or another run holds it.
+    InputError   if a line other than the last is not a record (file and line are named).
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = open(path, "a+b")  # noqa: SIM115  closed by __exit__
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            self._file.close()
+            raise OutputError(f"{path}: another run is writing here; give this one another --output") from error
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+        try:
+            self.records: dict[str, dict] = self._read()
+        except InputError:
+            self._file.close()
+            raise
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._file.close()
+
+    def append(self, record: dict) -> None:
+        """Add a record, or replace the one of its key. It is in the file when this returns."""
+        line = json.dumps(record, allow_nan=False, separators=(",", ":")).encode() + b"\n"
+        self._file.write(line)
+        self._file.flush()
+        self.records[record["key"]] = record
+
+    def _read(self) -> dict[str, dict]:
+        self._file.seek(0)
+        content = self._file.read()
+        whole = content.rfind(b"\n") + 1
+        if whole < len(content):
+            self._file.truncate(whole)
+        records = {}
+        for number, line in enumerate(content[:whole].splitlines(), start=1):
+            try:
+                record = json.loads(line)
+                records[record["key"]] = record
+            except (ValueError, KeyError, TypeError) as error:
+                wanted = "expected a JSON record with a key"
+                raise InputError(f"{self.path}:{number}: {wanted}, got {line[:60]!r}") from error
+        return records

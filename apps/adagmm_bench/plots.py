@@ -1,0 +1,95 @@
+"""The paper's figures: error against a factor, one line a method; errors of all methods on one pair."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from adagmm_fusion.atomic_file import replacing
+
+# Okabe and Ito's colours, told apart by colour-blind readers too; ours is always the first, thick and black.
+COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#0072B2", "#CC79A7", "#8C8C8C")
+MARKERS = ("o", "s", "^", "v", "D", "P", "X", "*")
+MAX_LINES = len(COLOURS)
+ERROR_LABEL = r"rotation error $\|I - R_{gt} R^{-1}\|_F$"
+AXES = {
+    "rotation": ("initial rotation [deg]", 1.0),
+    "noise": ("noise standard deviation [RMS radii]", 1.0),
+    "outliers": ("outliers [% of the model's points]", 100.0),
+    "occlusion": ("occlusion [%]", 100.0),
+}
+
+
+def plot_sweep(path: Path, title: str, sweep: str, lines: Mapping[str, Mapping[float, tuple[float, float]]]) -> None:
+    """Mean rotation error with its standard deviation per setting; `lines` maps labels to setting -> (mean, std).
+
+    Lines stand a little beside each other so that their bars can be told apart.
+    """
+    label, factor = AXES[sweep]
+    figure = Figure(figsize=(9.0, 5.0), layout="constrained")
+    axes = figure.add_subplot()
+    settings = sorted({setting for line in lines.values() for setting in line})
+    step = factor * float(np.min(np.diff(settings))) if len(settings) > 1 else 1.0
+    highest = 0.0
+    for i, (name, line) in enumerate(lines.items()):
+        x = factor * np.array(list(line)) + step * 0.07 * (i - (len(lines) - 1) / 2)
+        mean, std = np.array(list(line.values())).T
+        highest = max(highest, float((mean + std).max()))
+        axes.errorbar(
+            x,
+            mean,
+            # Errors are not negative: the bar ends at zero.
+            yerr=[np.minimum(std, mean), std],
+            label=name,
+            color=COLOURS[i % MAX_LINES],
+            marker=MARKERS[i % MAX_LINES],
+            markersize=4.5,
+            linewidth=2.4 if i == 0 else 1.3,
+            elinewidth=0.8,
+            capsize=2,
+            zorder=10 - i,
+        )
+    axes.set_xlabel(label)
+    axes.set_ylabel(ERROR_LABEL)
+    axes.set_ylim(0.0, max(1.05 * highest, 0.02))
+    axes.set_title(title)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8, ncols=2, framealpha=0.85)
+    _save(figure, path)
+
+
+def plot_pair_errors(
+    path: Path,
+    title: str,
+    labels: Sequence[str],
+    errors: Sequence[float],
+    *,
+    ours: Sequence[str],
+    published: float | None,
+) -> None:
+    """Figure 18: the rotation error of every method on one pair as bars, best on top."""
+    figure = Figure(figsize=(8.0, 1.2 + 0.28 * len(labels)), layout="constrained")
+    axes = figure.add_subplot()
+    order = np.argsort(errors, kind="stable")[::-1]
+    colours = ["#000000" if labels[i] in ours else "#56B4E9" for i in order]
+    rows = np.arange(len(order))
+    axes.barh(rows, [errors[i] for i in order], color=colours)
+    axes.set_yticks(rows, [labels[i] for i in order], fontsize=8)
+    for row, i in zip(rows, order, strict=True):
+        axes.text(errors[i], row, f" {errors[i]:.3f}", va="center", fontsize=7)
+    if published is not None:
+        axes.axvline(published, color="#D55E00", linestyle="--", linewidth=1.2, label=f"the paper's {published:g}")
+        axes.legend(fontsize=8, loc="lower right")
+    axes.set_xscale("log")
+    axes.margins(x=0.12, y=0.01)
+    axes.set_xlabel(ERROR_LABEL)
+    axes.set_title(title)
+    _save(figure, path)
+
+
+def _save(figure: Figure, path: Path) -> None:
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=130)

@@ -1,0 +1,75 @@
+"""Tables in markdown and on the terminal, reports in markdown and JSON, and what the figures were measured on."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from adagmm_bench.methods import METHODS
+from adagmm_bench.summary import Summary
+from adagmm_fusion.atomic_file import write_text
+
+
+def machine_note() -> str:
+    """The processor, the number of cores this process may use, and the versions that matter."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    versions = ", ".join(f"{name} {version(name)}" for name in ("open3d", "numpy", "numba"))
+    return f"{_processor()}, {cores} cores, {platform.system()}, Python {platform.python_version()}, {versions}"
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def command_line() -> str:
+    return " ".join(["adagmm-bench", *sys.argv[1:]])
+
+
+def markdown_table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A table; the first column is text, the others are numbers, set to the right."""
+    lines = ["| " + " | ".join(columns) + " |", "|---|" + "--:|" * (len(columns) - 1)]
+    lines += ["| " + " | ".join(str(cell) for cell in row) + " |" for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """The same table on the terminal."""
+    table = Table(title=title, title_justify="left")
+    for i, column in enumerate(columns):
+        table.add_column(column, justify="left" if i == 0 else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*map(str, row))
+    # Without a terminal there is no width to respect, and a log should not lose columns.
+    Console(width=None if sys.stdout.isatty() else 160).print(table)
+
+
+def settings_section(names: Iterable[str], skipped: Sequence[str]) -> str:
+    """How every method was set, and which were left out and why."""
+    lines = ["## Methods", ""]
+    for name in names:
+        lines.append(f"- `{name}` ({METHODS[name].version()}): {METHODS[name].settings()}")
+    if skipped:
+        lines += ["", "Left out:", ""] + [f"- {line}" for line in skipped]
+    return "\n".join(lines) + "\n"
+
+
+def write_json(path: Path, content: Mapping) -> None:
+    write_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+
+
+def summaries_as_json(summaries: Iterable[Summary]) -> list[dict]:
+    return [summary.as_dict() for summary in summaries]

@@ -1,0 +1,182 @@
+"""Many independent tasks on local processes or on a Dask cluster; a worker that dies loses nothing.
+
+    for key, result in run_tasks(function, {"a": task_a, "b": task_b}, scheduler="tcp://10.0.0.1:8786"):
+        ...                                   # as each ends, in any order; a TaskFailure where there is no result
+
+`function` must be importable by its name, tasks and results must pickle. Local workers are spawned, with one kernel
+thread each, so that a result does not depend on how many there are. On a cluster every worker needs this package, and
+files at the same paths.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import traceback
+import uuid
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from typing import Any
+
+from adagmm_o3d.errors import AdaGMMError, InputError
+
+MAX_DEATHS = 3  # a task that has ended this many workers is given up
+CONNECT_SECONDS = 20
+ONE_THREAD = {name: "1" for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+
+
+class SchedulerError(AdaGMMError, RuntimeError):
+    """The Dask scheduler cannot be reached, or was lost while it held unfinished tasks."""
+
+
+@dataclass(frozen=True)
+class TaskFailure:
+    """Why a task has no result, in one line."""
+
+    reason: str
+
+
+def run_tasks(
+    function: Callable[[Any], Any],
+    tasks: Mapping[str, Any],
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+) -> Iterator[tuple[str, Any]]:
+    """Yield (key, function(task)) for every task as it ends, or (key, TaskFailure) if it raised or kept ending its
+    worker.
+
+    workers : local processes, by default one for each core; `scheduler` : address of a Dask scheduler to use instead.
+
+    Raises
+    ------
+    InputError      if `workers` is not positive, or dask.distributed is not installed.
+    SchedulerError  if the scheduler cannot be reached, or is lost before the end.
+    """
+    if workers is not None and workers < 1:
+        raise InputError(f"workers: expected 1 or more, got {workers}")
+    if scheduler is not None:
+        yield from _run_on_cluster(function, tasks, scheduler)
+    else:
+        yield from _run_locally(function, tasks, workers or os.cpu_count() or 1)
+
+
+@dataclass
+class _Worker:
+    process: multiprocessing.process.BaseProcess
+    connection: Connection
+    key: str | None = None
+
+
+def _run_locally(function: Callable, tasks: Mapping[str, Any], count: int) -> Iterator[tuple[str, Any]]:
+    waiting, deaths = deque(tasks), Counter()
+    crew: list[_Worker] = []
+    try:
+        while waiting or any(worker.key is not None for worker in crew):
+            while waiting and len(crew) < count:
+                crew.append(_start_worker(function))
+            for worker in crew:
+                if worker.key is None and waiting:
+                    worker.key = waiting.popleft()
+                    _send(worker, tasks[worker.key])
+            busy = {worker.connection: worker for worker in crew if worker.key is not None}
+            for connection in wait(list(busy)):
+                worker = busy[connection]
+                key = worker.key
+                try:
+                    result = connection.recv()
+                except (EOFError, OSError):
+                    worker.process.join()
+                    crew.remove(worker)
+                    deaths[key] += 1
+                    if deaths[key] < MAX_DEATHS:
+                        waiting.append(key)
+                        continue
+                    result = TaskFailure(f"its worker died {MAX_DEATHS} times, exit code {worker.process.exitcode}")
+                worker.key = None
+                yield key, result
+    finally:
+        for worker in crew:
+            worker.connection.close()  # an idle worker ends by itself
+            if worker.key is not None:
+                worker.process.kill()
+        for worker in crew:
+            worker.process.join()
+
+
+def _start_worker(function: Callable) -> _Worker:
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_serve, args=(theirs, function), daemon=True)
+    with _environment(ONE_THREAD):
+        process.start()
+    theirs.close()  # so that the worker's death reads as the end of the pipe
+    return _Worker(process, ours)
+
+
+def _send(worker: _Worker, message: Any) -> None:
+    with suppress(OSError):  # it may have died; the read that follows says so
+        worker.connection.send(message)
+
+
+def _serve(connection: Connection, function: Callable) -> None:
+    """A worker's life: a task in, a result out, until the pipe closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business
+    while True:
+        try:
+            task = connection.recv()
+        except EOFError:
+            return
+        try:
+            result = function(task)
+        except Exception as error:
+            result = _failure(error)
+        connection.send(result)
+
+
+@contextmanager
+def _environment(values: Mapping[str, str]):
+    """Environment variables for the processes started within."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _run_on_cluster(function: Callable, tasks: Mapping[str, Any], address: str) -> Iterator[tuple[str, Any]]:
+    try:
+        from dask.distributed import Client, as_completed
+    except ImportError as error:
+        raise InputError(f"scheduler: needs dask.distributed ({error}); install the [distributed] extra") from error
+    try:
+        client = Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise SchedulerError(f"scheduler: no Dask scheduler answers at {address} ({error})") from error
+    with client:
+        run = uuid.uuid4().hex  # a cluster keeps results by key: two runs must not share them
+        futures = {client.submit(function, task, key=f"{key}-{run}", pure=False): key for key, task in tasks.items()}
+        for future in as_completed(list(futures)):
+            key = futures.pop(future)
+            if future.status == "finished":
+                yield key, future.result()
+            elif future.status == "error":
+                yield key, _failure(future.exception())
+            else:
+                left = len(futures) + 1
+                raise SchedulerError(f"scheduler: lost {address} with {left} tasks left; run again to go on")
+
+
+def _failure(error: BaseException) -> TaskFailure:
+    where = traceback.extract_tb(error.__traceback__)
+    place = f" at {os.path.basename(where[-1].filename)}:{where[-1].lineno}" if where else ""
+    return TaskFailure(f"{type(error).__name__}: {' '.join(str(error).split())}{place}")

@@ -79,7 +79,7 @@ def render_depth(
 def render_color(
     scene: Scene, T_world_camera: np.ndarray, rng: np.random.Generator, intrinsics=INTRINSICS, light_samples: int = 4
 ) -> np.ndarray:
-    """The colour image, (H, W, 3) uint8 RGB: four rays a pixel, a ceiling light with soft shadows, ambient occlusion."""
+    """The colour image, (H, W, 3) uint8 RGB: four rays a pixel, a ceiling lamp with soft shadows, ambient occlusion."""
     pixels = intrinsics.height * intrinsics.width
     columns, rows = np.meshgrid(np.arange(intrinsics.width, dtype=float), np.arange(intrinsics.height, dtype=float))
     shifts = rng.random((pixels, 2))  # a low-discrepancy sequence, shifted in each pixel: little noise from few samples

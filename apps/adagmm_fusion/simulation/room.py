@@ -17,8 +17,8 @@ from adagmm_fusion.simulation.textures import (
     foliage,
     globe,
     landscape,
-    planks,
     plain,
+    planks,
     plaster,
     rug,
     stripes,
@@ -36,7 +36,7 @@ PINE = ([0.66, 0.47, 0.27], [0.86, 0.70, 0.46])
 
 
 def furnish(seed: int, pair_index: int) -> list[Part]:
-    """The room as it is while one pair is taken: the fixed parts depend on the seed, the movable ones on the pair too."""
+    """The room while one pair is taken: what stands fixed depends on the seed, what moves on the pair as well."""
     fixed, moving = np.random.default_rng([seed, 0]), np.random.default_rng([seed, 1, pair_index])
     return [
         *_shell(),

@@ -1,0 +1,90 @@
+"""What a registered pair is good for: one coloured cloud of both sensors, and the rig as estimated."""
+
+from pathlib import Path
+
+import numpy as np
+import open3d as o3d
+
+from adagmm_fusion.atomic_file import replacing
+from adagmm_fusion.clouds import dense_cloud
+from adagmm_fusion.errors import OutputError
+from adagmm_fusion.frames import PinholeIntrinsics, RGBDPair, checked_rigid_transformation
+from adagmm_fusion.pipeline import PairOutcome
+from adagmm_fusion.rig import Rig, SensorCalibration
+
+FUSED_VOXEL_SIZE_M = 0.01
+
+
+def fused_cloud(
+    pair: RGBDPair, T_target_source: np.ndarray, *, max_depth_m: float, voxel_size_m: float = FUSED_VOXEL_SIZE_M
+) -> o3d.geometry.PointCloud:
+    """Every measured point of both frames in the target's camera frame [m], averaged with its colour over a voxel grid.
+
+    Raises
+    ------
+    InputError  if a frame has no depth up to max_depth_m.
+    """
+    target = dense_cloud(pair.target, max_depth=max_depth_m)
+    source = dense_cloud(pair.source, max_depth=max_depth_m).transform(T_target_source)
+    return (target + source).voxel_down_sample(voxel_size_m)
+
+
+def save_cloud(path: Path, cloud: o3d.geometry.PointCloud) -> None:
+    """Write a binary .ply with float32 positions and 8-bit colours. Raises OutputError if it cannot be written."""
+    compact = o3d.t.geometry.PointCloud(o3d.core.Tensor(np.asarray(cloud.points, dtype=np.float32)))
+    colors = np.floor(255.0 * np.asarray(cloud.colors) + 0.5).astype(np.uint8)
+    compact.point.colors = o3d.core.Tensor(colors)
+    with replacing(path) as temporary:
+        if not o3d.t.io.write_point_cloud(str(temporary), compact):
+            raise OutputError(f"{path}: cannot be written")
+
+
+class RigEstimate:
+    """Collects outcomes of a rig's pairs and averages them into one rig, whose frame is the target's camera frame.
+
+    Only pairs of two sensors at one moment say something about a rig, all with the same target sensor; if another pair
+    comes, there is no rig to estimate.
+    """
+
+    def __init__(self) -> None:
+        self._target: str | None = None
+        self._sensors: dict[str, tuple[PinholeIntrinsics, float]] = {}
+        self._poses: dict[str, list[np.ndarray]] = {}
+        self._is_rig = True
+
+    def add(self, outcome: PairOutcome) -> None:
+        """Take an outcome into account; the pose only if it was registered."""
+        if outcome.pair is None or not self._is_rig:
+            return
+        target, source = outcome.pair.target, outcome.pair.source
+        self._target = self._target or target.sensor
+        if target.sensor != self._target or source.sensor == target.sensor or source.name != target.name:
+            self._is_rig = False
+            return
+        for frame in (target, source):
+            self._sensors.setdefault(frame.sensor, (frame.intrinsics, frame.depth_scale))
+        self._poses.setdefault(source.sensor, [])
+        if outcome.status == "ok":
+            self._poses[source.sensor].append(np.asarray(outcome.T_estimate))
+
+    def rig(self, name: str) -> Rig | None:
+        """The rig, with sensors `unknown` that were never registered; None if no sensor was, or there is no rig."""
+        if not self._is_rig or not any(self._poses.values()):
+            return None
+        calibrations, counts = {}, []
+        for sensor, (intrinsics, depth_scale) in self._sensors.items():
+            T_rig_sensor = np.eye(4) if sensor == self._target else mean_pose(self._poses[sensor])
+            calibrations[sensor] = SensorCalibration(sensor, intrinsics, depth_scale, T_rig_sensor)
+            if sensor != self._target:
+                counts.append(f"{sensor} from {len(self._poses[sensor])} pair(s)")
+        return Rig(name, calibrations, f"estimated by registration: {', '.join(counts)}")
+
+
+def mean_pose(poses: list[np.ndarray]) -> np.ndarray | None:
+    """The rotation nearest to all in the chordal sense, and the mean translation; (4, 4), None of none."""
+    if not poses:
+        return None
+    mean = np.mean(poses, axis=0)
+    left, _, right = np.linalg.svd(mean[:3, :3])
+    mean[:3, :3] = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
+    return checked_rigid_transformation(mean, "mean pose")

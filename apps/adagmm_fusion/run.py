@@ -1,0 +1,193 @@
+"""`adagmm-fusion run`: the pairs of a recording, one by one, into a table, reports, clouds and a Rerun recording."""
+
+import argparse
+import contextlib
+import os
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from adagmm_fusion.frame_sequence import Recording
+from adagmm_fusion.fusion import RigEstimate, fused_cloud, save_cloud
+from adagmm_fusion.pair_record import PairRecord, pair_record
+from adagmm_fusion.pipeline import PairOutcome, run_pairs
+from adagmm_fusion.recording import open_recording
+from adagmm_fusion.report import Report, terminal_table, write_report
+from adagmm_fusion.rerun_log import (
+    Eye,
+    Limits,
+    SummaryRow,
+    dashboard,
+    log_pair,
+    log_recording_summary,
+    open_stream,
+    send_blueprint,
+)
+from adagmm_fusion.rig import save_rig
+from adagmm_fusion.settings import Settings
+from adagmm_o3d.errors import InputError
+
+INTERRUPTED = 130
+TABLE_WIDTH = 150  # of the table where the output is no terminal
+
+
+def run(args: argparse.Namespace, settings: Settings) -> int:
+    """Run over args.recording; returns the exit code: 0, or 130 if it was interrupted, with what was finished kept.
+
+    Raises
+    ------
+    AdaGMMError  if the recording or its rig cannot be used, or a result cannot be written.
+    """
+    recording = open_recording(args.recording, format=args.format, rig=args.calibration, step=args.step)
+    indices = selected_pairs(args.pairs, len(recording))
+    folder = Path(args.output) if args.output else Path("output") / recording.path.resolve().name
+    logs_to_file = not (args.no_rerun or args.connect or args.serve or args.url or args.stdout)
+    if logs_to_file and args.save is None:
+        args.save = str(folder / f"{recording.path.resolve().name}.rrd")
+
+    results: dict[str, str] = {}
+    records: list[PairRecord] = []
+    rig_estimate, interrupted = RigEstimate(), False
+    with contextlib.ExitStack() as stack:
+        viewer = None if args.no_rerun else stack.enter_context(_viewer(args, recording, settings, len(indices)))
+        progress = stack.enter_context(_progress())
+        task = progress.add_task(recording.name, total=len(indices))
+        try:
+            for outcome in run_pairs(recording, settings, indices):
+                if viewer is not None:
+                    viewer.log(outcome)
+                rig_estimate.add(outcome)
+                if outcome.estimate is not None and not args.no_clouds:
+                    name = f"fused/{outcome.pair_name}.ply"
+                    fused = fused_cloud(outcome.pair, outcome.T_estimate, max_depth_m=settings.max_depth_m)
+                    save_cloud(folder / name, fused)
+                    results[f"fused cloud {outcome.pair_name}"] = name
+                records.append(pair_record(outcome))
+                progress.advance(task)
+        except KeyboardInterrupt:
+            interrupted = True
+        finally:
+            # Whatever ended the run, the pairs that were finished are reported.
+            if viewer is not None:
+                viewer.summarize(records)
+            rig = rig_estimate.rig(f"{recording.path.resolve().name}_estimated")
+            if rig is not None:
+                save_rig(folder / "rig.yaml", rig)
+                results["estimated rig"] = "rig.yaml"
+            if logs_to_file:
+                results["Rerun recording"] = os.path.relpath(args.save, folder)
+            report = Report(
+                recording=recording.name,
+                path=str(args.recording),
+                format=recording.format,
+                sensors=recording.sensors,
+                calibration=args.calibration,
+                settings=settings,
+                pairs_asked=len(indices),
+                records=records,
+                interrupted=interrupted,
+                results=results,
+            )
+            paths = write_report(folder, report)
+            progress.stop()
+            _print(report, folder, paths, to_stderr=args.stdout)
+    return INTERRUPTED if interrupted else 0
+
+
+def selected_pairs(text: str | None, count: int) -> list[int]:
+    """Indices from "0,3,5-7", in that order and each once; all for None.
+
+    Raises
+    ------
+    InputError  if the text is something else, or an index is not there.
+    """
+    if text is None:
+        return list(range(count))
+    indices: list[int] = []
+    for part in text.split(","):
+        first, dash, last = part.strip().partition("-")
+        if not (first.isdecimal() and (last.isdecimal() if dash else not last)):
+            raise InputError(f"--pairs: expected numbers and ranges as in 0,3,5-7, got {text!r}")
+        chosen = range(int(first), int(last if dash else first) + 1)
+        if not chosen or chosen[-1] >= count:
+            raise InputError(f"--pairs: expected ranges within 0-{count - 1}, the recording's pairs, got {part!r}")
+        indices += chosen
+    return list(dict.fromkeys(indices))
+
+
+class _Viewer:
+    """Logs outcomes to a Rerun stream as they come."""
+
+    def __init__(self, stream, settings: Settings, pair_count: int) -> None:
+        self._stream, self._many = stream, pair_count > 1
+        self._limits = Limits(settings.max_rotation_error_deg, settings.max_translation_error_mm)
+        self._next_frame, self._em_step, self._has_eye = 0, 0, False
+
+    def log(self, outcome: PairOutcome) -> None:
+        frame_index = self._next_frame
+        self._next_frame += 1
+        if outcome.source_cloud is None:  # the summary says why
+            return
+        if not self._has_eye:
+            self._has_eye = True
+            eye = Eye.behind(np.asarray(outcome.target_cloud.points))
+            send_blueprint(self._stream, many_pairs=self._many, eye=eye)
+        self._em_step = log_pair(
+            self._stream,
+            outcome.pair,
+            outcome.source_cloud,
+            outcome.target_cloud,
+            outcome.estimate,
+            frame_index=frame_index if self._many else None,
+            em_step=self._em_step,
+            status=outcome.status,
+            reason=outcome.reason,
+            seconds=outcome.seconds_registration,
+            limits=self._limits,
+            partner_distance=None if outcome.evaluation is None else outcome.evaluation.partner_distance_m,
+        )
+
+    def summarize(self, records: list[PairRecord]) -> None:
+        rows = [
+            SummaryRow(
+                frame_index=frame_index,
+                name=record.pair,
+                status=record.status,
+                rotation_deg=record.rotation_error_deg,
+                translation_mm=record.translation_error_mm,
+                overlap=record.overlap,
+                iterations=record.iterations,
+                seconds=record.seconds_registration,
+                reason=record.reason,
+            )
+            for frame_index, record in enumerate(records)
+        ]
+        if self._many and rows:
+            log_recording_summary(self._stream, rows)
+
+
+@contextlib.contextmanager
+def _viewer(args: argparse.Namespace, recording: Recording, settings: Settings, pair_count: int):
+    with open_stream(args, recording.name, dashboard(many_pairs=pair_count > 1)) as stream:
+        yield _Viewer(stream, settings, pair_count)
+
+
+def _progress() -> Progress:
+    """A progress bar on stderr, if that is a terminal."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+
+
+def _print(report: Report, folder: Path, paths: tuple[Path, Path], *, to_stderr: bool) -> None:
+    console = Console(stderr=to_stderr, highlight=False, soft_wrap=True)
+    if not console.is_terminal:
+        console = Console(stderr=to_stderr, highlight=False, soft_wrap=True, width=TABLE_WIDTH)
+    console.print(terminal_table(report))
+    for line in report.failures():
+        console.print(f"failed: {line}", style="red", markup=False)
+    console.print(f"report: {paths[0]}, {paths[1]}", markup=False)
+    for what, path in report.results.items():
+        console.print(f"{what}: {os.path.normpath(folder / path)}", markup=False)

@@ -8,19 +8,26 @@ Each function logs one thing to the RecordingStream it is given; the blueprint i
             ...
             em_step = log_pair(rec, pair, source_cloud, target_cloud, estimate, frame_index=i, em_step=em_step)
         log_recording_summary(rec, rows)
+
+and for a script, which gets before, after, every iteration and the curves:
+
+    registration_adaptive_gmm(source, target, 0.05, callback_after_iteration=RegistrationLogger(rec, source, target))
 """
 
-from adagmm_fusion.rerun_log.blueprint import Eye, dashboard, send_blueprint
+from adagmm_fusion.rerun_log.blueprint import dashboard, script_dashboard, send_blueprint
 from adagmm_fusion.rerun_log.iterations import log_estimate_iterations
 from adagmm_fusion.rerun_log.pair import log_pair
+from adagmm_fusion.rerun_log.registration_logger import RegistrationLogger
 from adagmm_fusion.rerun_log.streams import add_rerun_arguments, open_stream
 from adagmm_fusion.rerun_log.summary import SummaryRow, log_recording_summary
 from adagmm_fusion.rerun_log.verdict import Limits
+from adagmm_fusion.rerun_log.views import Eye
 from adagmm_fusion.rerun_log.when import When
 
 __all__ = [
     "Eye",
     "Limits",
+    "RegistrationLogger",
     "SummaryRow",
     "When",
     "add_rerun_arguments",
@@ -29,5 +36,6 @@ __all__ = [
     "log_pair",
     "log_recording_summary",
     "open_stream",
+    "script_dashboard",
     "send_blueprint",
 ]

@@ -8,7 +8,7 @@ from adagmm_fusion.rerun_log.entities import Sensor
 from adagmm_fusion.rerun_log.when import When
 
 JPEG_QUALITY = 90
-FRUSTUM_DEPTH = 0.25
+FRUSTUM_DEPTH = 0.3
 FRUSTUM_LINE_WIDTH = 0.012
 MILLIMETRES_PER_METRE = 1000.0
 

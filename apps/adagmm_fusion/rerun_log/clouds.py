@@ -9,12 +9,14 @@ from collections.abc import Mapping
 import numpy as np
 import open3d as o3d
 import rerun as rr
+from scipy.spatial import cKDTree
 
 from adagmm_fusion.rerun_log.when import When
 from adagmm_o3d.errors import InputError
 
 DEFAULT_COLOR = (180, 180, 180)
 RADIUS_SHARE_OF_SPACING = 0.6
+SPACING_SAMPLE = 2000
 LIGHT = np.array((-0.4, -0.7, -0.6)) / np.linalg.norm((-0.4, -0.7, -0.6))
 AMBIENT = 0.35
 
@@ -29,8 +31,9 @@ def point_radius(points: np.ndarray) -> float:
     """A radius [m] at which neighbouring points close the surface; 5 mm for fewer than two points."""
     if len(points) < 2:
         return 0.005
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
-    return RADIUS_SHARE_OF_SPACING * float(np.median(cloud.compute_nearest_neighbor_distance()))
+    sample = points[:: max(1, len(points) // SPACING_SAMPLE)]
+    distances, _ = cKDTree(points).query(sample, k=2)
+    return RADIUS_SHARE_OF_SPACING * float(np.median(distances[:, 1]))
 
 
 def own_colors(cloud: o3d.geometry.PointCloud) -> np.ndarray:

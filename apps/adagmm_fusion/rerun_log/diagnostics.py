@@ -7,8 +7,6 @@ import open3d as o3d
 from scipy.spatial import cKDTree
 
 from adagmm_fusion.frames import RGBDFrame
-from adagmm_o3d.kernels.pair_loop import PairLoop
-from adagmm_o3d.mixture import make_mixture, normalise
 
 HIDDEN, CONTRADICTED, PARTNER = 0, 1, 2
 SPACINGS_TO_A_PARTNER = 3.0
@@ -22,7 +20,7 @@ class PointDiagnostics:
     weight_share : (M,) its share of the pair weights, times M: 1 is average, 0 is ignored.
     residual_mm : (M,) distance to the target's surface, along its normal where it has them; NaN without partner.
     overlap : (M,) PARTNER: the target has a point within `partner_distance`. HIDDEN: outside the target's image, or
-        behind what it sees. CONTRADICTED: in front of what the target sees, or in its sight with nothing there.
+        behind what it sees. CONTRADICTED: in front of what the target sees, which looks through it.
     partner_distance : [m].
     """
 
@@ -45,7 +43,7 @@ def diagnose(
     Parameters
     ----------
     source, target : what was registered, points [m].
-    estimate : with transformation (4, 4) and sigmas (K,).
+    estimate : with transformation (4, 4) and row_weights (M,), as `PointRegistrationResult` has them.
     target_frame : the target's depth image, to tell points it cannot see from points that contradict it; without it
         every point without partner counts as HIDDEN.
     partner_distance : [m]; None for three times the target's median spacing.
@@ -64,29 +62,17 @@ def diagnose(
     if target_frame is not None:
         overlap[~has_partner & _contradicted(moved, target_frame, partner_distance)] = CONTRADICTED
     return PointDiagnostics(
-        weight_share=weight_shares(source, target, T, float(estimate.sigmas[-1])),
+        weight_share=weight_shares(estimate.row_weights),
         residual_mm=np.where(has_partner, residuals * MILLIMETRES_PER_METRE, np.nan),
         overlap=overlap,
         partner_distance=partner_distance,
     )
 
 
-def weight_shares(
-    source: o3d.geometry.PointCloud, target: o3d.geometry.PointCloud, T: np.ndarray, sigma: float
-) -> np.ndarray:
-    """(M,) each source point's share of the E-step's pair weights at pose T (4, 4) and scale sigma [m²], times M."""
-    mixtures, used = [], None
-    for name, cloud in (("source", source), ("target", target)):
-        covariances = np.asarray(cloud.covariances) if cloud.has_covariances() else None
-        mixtures.append(make_mixture(name, np.asarray(cloud.points), covariances))
-        if name == "source":
-            used = slice(None) if covariances is None else np.isfinite(covariances).all(axis=(1, 2))
-    source_mixture, target_mixture, normalisation = normalise(*mixtures)
-    scaled = sigma / normalisation.scale**2
-    row_weights = PairLoop(source_mixture, target_mixture).sums(normalisation.pose_in(T), scaled, scaled).row_weights
-    shares = np.zeros(len(source.points))
-    shares[used] = row_weights * len(row_weights) / max(row_weights.sum(), np.finfo(np.float64).tiny)
-    return shares
+def weight_shares(row_weights: np.ndarray) -> np.ndarray:
+    """(M,) weights as shares of their sum, times M; 0 where a point was dropped (NaN)."""
+    weights = np.nan_to_num(np.asarray(row_weights, dtype=np.float64))
+    return weights * len(weights) / max(weights.sum(), np.finfo(np.float64).tiny)
 
 
 def _contradicted(points: np.ndarray, frame: RGBDFrame, margin: float) -> np.ndarray:

@@ -12,7 +12,7 @@ NO_PARTNER_COLOR = (70, 74, 84)
 WEIGHT_RAMP = np.array(((38, 30, 70), (120, 40, 130), (220, 80, 90), (255, 180, 80), (255, 250, 180)))
 RESIDUAL_RAMP = np.array(((30, 150, 90), (150, 200, 70), (250, 220, 80), (240, 130, 50), (215, 40, 40)))
 OVERLAP_COLORS = {PARTNER: (60, 190, 110), HIDDEN: NO_PARTNER_COLOR, CONTRADICTED: (225, 50, 60)}
-OVERLAP_NAMES = {PARTNER: "has a partner", HIDDEN: "the target cannot see it", CONTRADICTED: "the target sees past it"}
+OVERLAP_NAMES = {PARTNER: "partner", HIDDEN: "out of sight", CONTRADICTED: "contradicted"}
 MOST_WEIGHT_SHOWN = 2.0
 RESIDUAL_SHARE_OF_PARTNER_DISTANCE = 0.5
 STRIP = (12, 240)
@@ -57,8 +57,7 @@ def log_residual_histogram(rec: rr.RecordingStream, diagnostics: PointDiagnostic
     edges = np.linspace(0.0, largest, HISTOGRAM_BARS + 1)
     known = diagnostics.residual_mm[np.isfinite(diagnostics.residual_mm)]
     counts, _ = np.histogram(np.minimum(known, largest), edges)
-    middles = 0.5 * (edges[:-1] + edges[1:])
-    bars = rr.BarChart(counts, abscissa=middles, widths=np.diff(edges), color=RESIDUAL_RAMP[1])
+    bars = rr.BarChart(counts, abscissa=edges[:-1], widths=np.diff(edges), color=RESIDUAL_RAMP[1])
     when.log(rec, entities.RESIDUAL_HISTOGRAM, bars)
 
 
@@ -69,7 +68,7 @@ def log_legends(rec: rr.RecordingStream, diagnostics: PointDiagnostics, when: Wh
     _log_strip(rec, entities.RESIDUAL_LEGEND, RESIDUAL_RAMP, ["0", f"{largest / 2:g}", f"≥ {largest:g} mm"], when)
     states = list(OVERLAP_COLORS)
     blocks = np.array([OVERLAP_COLORS[s] for s in states]).repeat(STRIP[1] // len(states), axis=0)
-    counts = [f"{OVERLAP_NAMES[s]}: {np.mean(diagnostics.overlap == s):.0%}" for s in states]
+    counts = [f"{OVERLAP_NAMES[s]} {np.mean(diagnostics.overlap == s):.0%}" for s in states]
     _log_labelled(rec, entities.OVERLAP_LEGEND, blocks, counts, (np.arange(3) + 0.5) * STRIP[1] / 3, when)
 
 

@@ -25,7 +25,7 @@ from adagmm_fusion.rerun_log.legends import log_legends, log_residual_histogram,
 from adagmm_fusion.rerun_log.meshes import log_textured_mesh
 from adagmm_fusion.rerun_log.messages import log_messages
 from adagmm_fusion.rerun_log.overlay import log_overlay
-from adagmm_fusion.rerun_log.verdict import Limits, pair_report
+from adagmm_fusion.rerun_log.verdict import DEFAULT_LIMITS, Limits, pair_report
 from adagmm_fusion.rerun_log.when import When
 
 
@@ -42,7 +42,7 @@ def log_pair(
     reason: str = "",
     seconds: float | None = None,
     report: str | None = None,
-    limits: Limits = Limits(),  # noqa: B008  frozen
+    limits: Limits = DEFAULT_LIMITS,
     partner_distance: float | None = None,
 ) -> int:
     """Log one pair: both sensors with images, clouds and textured meshes, every EM iteration, and why it went so.
@@ -79,7 +79,7 @@ def log_pair(
     else:
         rows = log_estimate_iterations(rec, estimate, T_truth, when)
     diagnostics = None
-    if estimate is not None and len(estimate.sigmas):
+    if estimate is not None:
         diagnostics = diagnose(
             source_cloud, target_cloud, estimate, target_frame=pair.target, partner_distance=partner_distance
         )

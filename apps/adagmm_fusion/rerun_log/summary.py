@@ -8,10 +8,18 @@ import rerun as rr
 
 from adagmm_fusion.rerun_log import entities
 
+STATUS_COLORS = {"ok": (60, 190, 110), "failed": (225, 70, 60)}
+BAR_WIDTH = 0.8
+HINT = "The timeline `frame` below changes the pair; `em_step` runs through the EM iterations of all pairs."
+
 
 @dataclass(frozen=True)
 class SummaryRow:
-    """One pair: its number on the timeline `frame`, and how it went; errors are None without ground truth."""
+    """One pair: its number on the timeline `frame`, and how it went.
+
+    status : "ok", or "failed" with the reason.    rotation_deg, translation_mm : None without ground truth.
+    overlap : 0 to 1.
+    """
 
     frame_index: int
     name: str
@@ -28,14 +36,20 @@ def log_recording_summary(rec: rr.RecordingStream, rows: Sequence[SummaryRow], *
     """Log the table of all pairs and the two bar charts, once, after the last pair."""
     text = summary_markdown(rows, title)
     rec.log(entities.SUMMARY_TABLE, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
-    for entity, field, color in (
-        (entities.SUMMARY_ROTATION_ERROR_DEG, "rotation_deg", (255, 150, 60)),
-        (entities.SUMMARY_TRANSLATION_ERROR_MM, "translation_mm", (90, 200, 120)),
+    for entity, field in (
+        (entities.SUMMARY_ROTATION_ERROR_DEG, "rotation_deg"),
+        (entities.SUMMARY_TRANSLATION_ERROR_MM, "translation_mm"),
     ):
-        known = [(row.frame_index, getattr(row, field)) for row in rows if getattr(row, field) is not None]
-        if known:
-            frames, values = np.array(known, dtype=np.float64).T
-            rec.log(entity, rr.BarChart(values, abscissa=frames, color=color), static=True)
+        for status, color in STATUS_COLORS.items():
+            known = [
+                (r.frame_index, getattr(r, field)) for r in rows if r.status == status and getattr(r, field) is not None
+            ]
+            if known:
+                frames, values = np.array(known, dtype=np.float64).T
+                bars = rr.BarChart(
+                    values, abscissa=frames - 0.5 * BAR_WIDTH, widths=np.full(len(frames), BAR_WIDTH), color=color
+                )
+                rec.log(f"{entity}/{status}", bars, static=True)
 
 
 def summary_markdown(rows: Sequence[SummaryRow], title: str) -> str:
@@ -47,10 +61,11 @@ def summary_markdown(rows: Sequence[SummaryRow], title: str) -> str:
         rotation = np.median([row.rotation_deg for row in known])
         translation = np.median([row.translation_mm for row in known])
         lines += [f"Median errors: **{rotation:.2f}°**, **{translation:.0f} mm**.", ""]
+    lines += [HINT, ""]
     lines += ["| frame | pair | verdict | rotation [°] | translation [mm] | overlap [%] | iterations | seconds |"]
     lines += ["|--:|:--|:--|--:|--:|--:|--:|--:|"]
     for row in sorted(rows, key=_badness, reverse=True):
-        mark = {"failed": "× ", "ok": "✔ "}.get(row.status, "? ")
+        mark = {"failed": "× ", "ok": "✔ "}.get(row.status, "")
         verdict = f"{mark}{row.status}" + (f": {row.reason}" if row.reason else "")
         overlap = None if row.overlap is None else 100.0 * row.overlap
         cells = [

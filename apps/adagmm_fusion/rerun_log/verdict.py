@@ -15,7 +15,10 @@ class Limits:
     translation_mm: float = 100.0
 
 
-def pair_report(name, estimate, T_truth, limits: Limits, *, status="", reason="", seconds=None) -> str:
+DEFAULT_LIMITS = Limits()
+
+
+def pair_report(name, estimate, T_truth, limits: Limits = DEFAULT_LIMITS, *, status="", reason="", seconds=None) -> str:
     """The report of one pair: the verdict, a table of before, after and limit, and what the estimate says of itself."""
     lines = [f"# {verdict(estimate, T_truth, limits, status, reason)}", "", f"**{name}**", ""]
     if estimate is None:

@@ -1,0 +1,85 @@
+"""The kinds of view that the dashboard is made of."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
+
+from adagmm_fusion.rerun_log import entities
+
+BACKGROUND = (24, 26, 32)
+
+
+@dataclass(frozen=True)
+class Eye:
+    """Where the 3D views look from and to, in the target sensor's frame [m]."""
+
+    position: tuple[float, float, float] = (0.6, -0.9, -1.2)
+    look_target: tuple[float, float, float] = (0.0, 0.0, 2.0)
+
+    @classmethod
+    def behind(cls, points: np.ndarray) -> "Eye":
+        """An eye above and to the right of the target sensor, looking at the middle of what it saw, points (N, 3)."""
+        center = np.median(np.asarray(points), axis=0)
+        reach = float(np.linalg.norm(center))
+        position = center + reach * np.array((0.4, -0.6, -1.0))
+        return cls(tuple(map(float, position)), tuple(map(float, center)))
+
+    @classmethod
+    def around(cls, points: np.ndarray) -> "Eye":
+        """An eye that sees all of a cloud, points (N, 3), wherever its sensor was."""
+        center = points.mean(axis=0)
+        radius = float(np.linalg.norm(points - center, axis=1).max())
+        position = center + radius * np.array((0.7, -0.8, -1.6))
+        return cls(tuple(map(float, position)), tuple(map(float, center)))
+
+    def with_sensors(self) -> "Eye":
+        """The same view from a little farther away, aimed so that the sensors are in it as well."""
+        position, center = np.array(self.position), np.array(self.look_target)
+        between = 0.7 * center
+        return Eye(tuple(map(float, between + 1.2 * (position - center))), tuple(map(float, between)))
+
+    def controls(self) -> rrb.EyeControls3D:
+        return rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital, position=self.position, look_target=self.look_target, eye_up=(0.0, -1.0, 0.0)
+        )
+
+
+DEFAULT_EYE = Eye()
+
+
+def scene(name: str, contents: Mapping[str, str | None], eye: Eye) -> rrb.Spatial3DView:
+    """A 3D view of entities, each with the layer that colours its points, or None for what it is logged with."""
+    return rrb.Spatial3DView(
+        name=name,
+        origin=entities.WORLD,
+        contents=[f"/{entity}" for entity in contents],
+        overrides={entity: _colored_by(layer) for entity, layer in contents.items() if layer is not None},
+        background=BACKGROUND,
+        line_grid=False,
+        eye_controls=eye.controls(),
+    )
+
+
+def _colored_by(layer: str) -> rrb.Visualizer:
+    colors = VisualizerComponentMapping(
+        target="Points3D:colors",
+        source_kind=ComponentSourceKind.SourceComponent,
+        source_component=f"{layer}:colors",
+    )
+    return rr.Points3D.from_fields().visualizer(mappings=[colors])
+
+
+def image(name: str, origin: str, contents: list[str]) -> rrb.Spatial2DView:
+    return rrb.Spatial2DView(name=name, origin=origin, contents=[f"/{entity}" for entity in contents])
+
+
+def curve(name: str, entity: str) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(name=name, origin=entity, plot_legend=rrb.PlotLegend(visible=False))
+
+
+def bars(name: str, entity: str) -> rrb.BarChartView:
+    return rrb.BarChartView(name=name, origin=entity, plot_legend=rrb.PlotLegend(visible=False))

@@ -298,15 +298,11 @@ def project_to_rotation(matrix: ArrayLike) -> Array:
 
 
 def _coefficients(angle: float) -> tuple[float, float, float]:
-    """sin θ / θ, (1 − cos θ) / θ² and (θ − sin θ) / θ³, each to rounding at every θ ≥ 0."""
+    """sin θ / θ, (1 − cos θ) / θ² and (θ − sin θ) / θ³ for θ ≥ 0."""
     sine = float(np.sinc(angle / math.pi))
     versine = 0.5 * float(np.sinc(0.5 * angle / math.pi)) ** 2
-    if angle >= 1.0:
-        return sine, versine, (angle - math.sin(angle)) / angle**3
-    # below one radian the difference cancels: its series, nine terms, falls under 1e-17
-    rest = 0.0
-    for k in range(8, -1, -1):
-        rest = 1.0 / math.factorial(2 * k + 3) - angle * angle * rest
+    # the third cancels near 0, but only by what its matrix, of size θ², takes back; below 1e-4 its limit is exact
+    rest = (angle - math.sin(angle)) / angle**3 if angle > 1e-4 else 1.0 / 6.0
     return sine, versine, rest
 
 

@@ -90,6 +90,9 @@ def test_the_angle_is_that_to_the_ray_and_not_to_the_optical_axis():
     point = np.array([[2.0, 0.0, 2.0]])
     head_on = estimate_kinect_covariances(point, -point)
     np.testing.assert_allclose(head_on, [math.exp(0.2776 * 2.0) * np.eye(3)], rtol=1e-12, atol=0.0)
+    facing_the_image_plane = estimate_kinect_covariances(point, [[0.0, 0.0, -1.0]])
+    expected = math.exp(1.6658 * (1.0 - math.sqrt(0.5)) + 0.2776 * 2.0)
+    np.testing.assert_allclose(facing_the_image_plane, [expected * np.eye(3)], rtol=1e-12, atol=0.0)
 
 
 # Nguyen et al. 2012
@@ -101,6 +104,7 @@ def test_the_angle_is_that_to_the_ray_and_not_to_the_optical_axis():
         (0.4, 0.0, 0.0012, 0.8),
         (1.4, 45.0, 0.0031, 0.835),
         (2.4, 60.0, 0.0088, 0.87),
+        (0.4, 63.0, 0.0012 + 0.0001 / math.sqrt(0.4) * (7.0 / 3.0) ** 2, 0.8 + 0.035 * 7.0 / 3.0),
         (4.0, 75.0, 0.0012 + 0.0019 * 3.6**2 + 0.0001 / 2.0 * 25.0, 0.975),
     ],
 )

@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from .arguments import Array
-from .kernels.pair_loop import PairLoop, PairSums
+from .expectation import Expectation
+from .kernels.pair_loop import PairSums
 from .lie import se_exp
 from .m_step import solve_step
 from .result import StopReason
-from .schedule import Scale, SigmaRule
+from .sigma_rules import Scale
 
 
 @dataclass(frozen=True)
 class Criteria:
     """When an EM iteration has changed nothing worth another one; the words and numbers are Open3D's.
 
-    relative_fitness : change of the sum of the pair weights.   relative_rmse : change of the weighted RMS residual.
-    max_iteration : EM iterations at most.
+    The residual is flat at its minimum: a step of ε standard deviations changes it by about ε². So a pose has settled
+    when a step is below √relative_rmse standard deviations of the mixtures.
+    max_iteration bounds the EM iterations.
     """
 
-    relative_fitness: float
     relative_rmse: float
     max_iteration: int
 
@@ -41,25 +43,23 @@ class Trace:
 
 
 def expectation_maximisation(
-    pairs: PairLoop,
+    expectation: Expectation,
     start: Array,
-    rule: SigmaRule,
     criteria: Criteria,
     dimension: int,
     relaxation: float = 1.0,
     observe: Callable[[Trace], None] | None = None,
 ) -> Trace:
-    """Move the source from `start` (4, 4) until the rule ends the loop or `max_iteration` is reached.
+    """Move the source from `start` (4, 4) until pose and σ have settled or `max_iteration` is reached.
 
     `relaxation` lengthens every step. `observe` is called after each iteration.
     """
     pose = start
     trace = Trace([pose])
-    scale = rule.first(pairs, pose)
-    previous: PairSums | None = None
     for _ in range(criteria.max_iteration):
-        # E-step: the weights C of all pairs at the old pose, and their sums (Eq. 5).
-        sums = pairs.sums(pose, scale.source, scale.target)
+        # E-step: the weights of all pairs at the old pose, and their sums (Eq. 5).
+        scale = expectation.scale
+        sums = expectation.e_step(pose)
         if not sums.weight > 0.0:
             trace.stop_reason = StopReason.NO_OVERLAP
             break
@@ -73,18 +73,8 @@ def expectation_maximisation(
         if observe is not None:
             observe(trace)
         # σ: both mixtures shrink as the clouds come together.
-        settled = previous is not None and _settled(previous, sums, scale, criteria)
-        new_scale = rule.next(pairs, pose, sums, scale, settled)
-        if new_scale is None:
+        settled = float(np.linalg.norm(step.delta)) <= math.sqrt(criteria.relative_rmse * scale.target)
+        if expectation.shrink(pose, sums, settled):
             trace.stop_reason = StopReason.CONVERGED
             break
-        scale, previous = new_scale, sums
     return trace
-
-
-def _settled(previous: PairSums, now: PairSums, scale: Scale, criteria: Criteria) -> bool:
-    rmse, old_rmse = (np.sqrt(s.energy / s.weight) for s in (now, previous))
-    return bool(
-        abs(now.weight - previous.weight) <= criteria.relative_fitness * previous.weight
-        and abs(rmse - old_rmse) <= criteria.relative_rmse * old_rmse
-    )

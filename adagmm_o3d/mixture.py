@@ -13,8 +13,10 @@ from .errors import DegenerateError, InputError
 MIN_POINTS = 3
 # A sensor model may fail at a point now and then (the Kinect data has one in thousands); more is a mistake upstream.
 MAX_NONFINITE_SHARE = 0.01
-# A variance this many times the median is a flag, not a measurement.
-VAGUE = 10.0
+# Half of all points may be flagged outliers: the unit of variance is that of a point among the best.
+GOOD_PERCENTILE = 12.5
+# A variance this many times the unit is a flag more than a measurement.
+VAGUE = 100.0
 PACKED = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
@@ -191,12 +193,18 @@ def _lift(p: Array, c: Array) -> tuple[Array, Array]:
 class Normalisation:
     """The similarity that brings both clouds to their centroids and to unit radius (the paper, Section 4.1).
 
-    Normalised p is (p - centre) / scale; `scale` is the larger of the two RMS radii [input units].
+    Normalised p is (p - centre) / scale; `scale` is the larger of the two RMS radii [input units]. Covariances, which
+    are relative, are divided by `variance`, a low percentile over both clouds: that of a good point becomes 1.
     """
 
     source_centre: Array
     target_centre: Array
     scale: float
+    variance: float
+
+    def sigma_out(self, sigma: float) -> float:
+        """σ of the normalised mixtures → σ for the covariances as given, [input units² per unit of covariance]."""
+        return sigma * self.scale**2 / self.variance
 
     def pose_in(self, transformation: Array) -> Array:
         """(4, 4) input pose → the same pose between normalised clouds."""
@@ -213,20 +221,24 @@ class Normalisation:
 
 
 def normalise(source: Mixture, target: Mixture) -> tuple[Mixture, Mixture, Normalisation]:
-    """Both mixtures with their own centroid at the origin and the larger RMS radius 1; covariances untouched.
+    """Both mixtures with their own centroid at the origin, the larger RMS radius 1 and covariances of unit scale.
 
     Points far vaguer than the rest (flagged outliers) hardly count for centroid and radius.
     """
-    weights = [
-        m.weights * np.minimum(1.0, VAGUE * np.median(v) / v) for m in (source, target) for v in (m.variances(),)
-    ]
-    centres = [np.average(m.points, axis=0, weights=w) for m, w in zip((source, target), weights, strict=True)]
+    sides = (source, target)
+    variances = [m.variances() for m in sides]
+    unit = float(np.percentile(np.concatenate(variances), GOOD_PERCENTILE))
+    weights = [m.weights * np.minimum(1.0, VAGUE * unit / v) for m, v in zip(sides, variances, strict=True)]
+    centres = [np.average(m.points, axis=0, weights=w) for m, w in zip(sides, weights, strict=True)]
     radii = [
         np.sqrt(np.average(((m.points - c) ** 2).sum(axis=1), weights=w))
-        for m, c, w in zip((source, target), centres, weights, strict=True)
+        for m, c, w in zip(sides, centres, weights, strict=True)
     ]
     scale = float(max(radii))
-    parts = []
-    for m, c in zip((source, target), centres, strict=True):
-        parts.append(Mixture((m.points - c) / scale, m.covariances, m.weights, m.dimension, m.isotropic, m.dropped))
-    return parts[0], parts[1], Normalisation(centres[0], centres[1], scale)
+    normalised = []
+    for m, c in zip(sides, centres, strict=True):
+        covariances = m.covariances / unit
+        if m.dimension == 2:
+            covariances[:, 2, 2] = 1.0
+        normalised.append(Mixture((m.points - c) / scale, covariances, m.weights, m.dimension, m.isotropic, m.dropped))
+    return normalised[0], normalised[1], Normalisation(centres[0], centres[1], scale, unit)

@@ -9,8 +9,9 @@ from .arguments import real_number
 from .errors import InputError
 
 DEFAULT_MAX_ITERATION = 200
+DEFAULT_RELATIVE_RMSE = 1e-4
 
-SigmaRuleName = Literal["annealed", "nearest", "figure2"]
+SigmaRuleName = Literal["posterior", "annealed", "nearest", "figure2"]
 StartName = Literal["auto", "init", "centroids"]
 
 
@@ -18,21 +19,24 @@ StartName = Literal["auto", "init", "centroids"]
 class TransformationEstimationForAdaptiveGMM:
     """Options of `registration_adaptive_gmm` and `register_points`; the defaults are the ones measured to be best.
 
-    sigma_rule : how the scale σ of the mixtures follows the registration.
-        "annealed": the nearest distances until the pose settles, then smaller and smaller (the accuracy).
-        "nearest": mean squared nearest distance over the dimension, both clouds (the paper's published accuracy).
-        "figure2": mean nearest distance, source alone (the letter of the paper's Figure 2).
+    sigma_rule : how pairs are weighed and how the scale σ of the mixtures follows the registration.
+        "posterior": pairs weigh what they are probable to be the same place, given both clouds; σ is what the residuals
+            of these pairs say, so that it ignores points without a partner and stops at the noise.
+        "annealed": the paper's weights; σ from the nearest distances until the pose settles, then ever smaller.
+        "nearest": the paper's weights; σ is the mean squared nearest distance over the dimension, for both clouds (it
+            reproduces the published accuracy).
+        "figure2": the paper's weights; σ is the mean nearest distance, for the source alone (the letter of Figure 2).
     start : where to begin when `init` is the identity or left out.
         "auto": at the identity or with common centroids, whichever explains the clouds better.
         "init": at the identity.   "centroids": with common centroids (the paper).
-    relaxation : lengthens every step, 1 to 2; above 1 it saves iterations.
+    relaxation : lengthens every step, 1 <= relaxation < 2; above 1 it saves iterations.
 
     Raises
     ------
     InputTypeError, InputError : an option out of its range.
     """
 
-    sigma_rule: SigmaRuleName = "annealed"
+    sigma_rule: SigmaRuleName = "posterior"
     start: StartName = "auto"
     relaxation: float = 1.0
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from .arguments import Array, real_number
 from .errors import InputError, InputTypeError
-from .options import DEFAULT_MAX_ITERATION, TransformationEstimationForAdaptiveGMM
+from .options import TransformationEstimationForAdaptiveGMM
 from .points import register_points
 from .result import PointRegistrationResult
 from .tensor_registration import register_tensor_clouds
@@ -152,9 +152,9 @@ def _estimation_method(method: Any) -> TransformationEstimationForAdaptiveGMM:
     return TransformationEstimationForAdaptiveGMM()
 
 
-def _criteria(criteria: Any) -> LegacyCriteria | TensorCriteria:
+def _criteria(criteria: Any) -> LegacyCriteria | TensorCriteria | None:
     if criteria is None:
-        return LegacyCriteria(max_iteration=DEFAULT_MAX_ITERATION)
+        return None
     if not isinstance(criteria, (LegacyCriteria, TensorCriteria)):
         raise InputTypeError(f"criteria: expected Open3D's ICPConvergenceCriteria, got {type(criteria).__name__}")
     return criteria

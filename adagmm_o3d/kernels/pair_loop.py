@@ -193,7 +193,14 @@ class PairLoop:
         """(M,) squared distance of each source point at `pose` to its nearest target point."""
         nearest = np.empty(len(self._source.order))
         self._run(
-            nearest_sq, _packed_pose(pose), self._source.points, self._target.points, self._tiles, 0, self._chunks, nearest
+            nearest_sq,
+            _packed_pose(pose),
+            self._source.points,
+            self._target.points,
+            self._tiles,
+            0,
+            self._chunks,
+            nearest,
         )
         return self._source.restore(nearest)
 

@@ -30,9 +30,7 @@ def make_tiles(points: Float32, variances: Float32, bits: Float32) -> Tiles:
     lo, hi = _reduce(np.minimum, points, TILE), _reduce(np.maximum, points, TILE)
     reach = _reduce(np.maximum, np.stack([variances, bits]), TILE)
     group_reach = _reduce(np.maximum, reach, GROUP)
-    return Tiles(
-        lo, hi, *reach, _reduce(np.minimum, lo, GROUP), _reduce(np.maximum, hi, GROUP), *group_reach
-    )
+    return Tiles(lo, hi, *reach, _reduce(np.minimum, lo, GROUP), _reduce(np.maximum, hi, GROUP), *group_reach)
 
 
 def _reduce(ufunc: np.ufunc, values: Float32, size: int) -> Float32:

@@ -1,6 +1,6 @@
-"""The rules by which σ, the scale of both mixtures, follows the registration.
+"""How σ, the scale of both mixtures, follows the distances between the clouds: the paper's two rules and annealing.
 
-σ works in normalised coordinates on covariances of unit scale (see `mixture.normalise`). A rule is asked once before
+σ multiplies covariances of unit scale in normalised coordinates (see `mixture.normalise`). A rule is asked once before
 the first iteration and once after each; it answers with the next scale or, when the loop is done, with None.
 """
 
@@ -12,7 +12,10 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from .arguments import Array
-from .kernels.pair_loop import PairLoop, PairSums
+from .kernels.pair_loop import PairLoop
+
+# Identical clouds have no distances; float32 coordinates mean nothing below this (a standard deviation of 3e-5).
+LEAST_SIGMA = 1e-9
 
 
 class Scale(NamedTuple):
@@ -28,7 +31,7 @@ class SigmaRule(Protocol):
     def first(self, pairs: PairLoop, pose: Array) -> Scale:
         """The scale of the first iteration."""
 
-    def next(self, pairs: PairLoop, pose: Array, sums: PairSums, scale: Scale, settled: bool) -> Scale | None:
+    def next(self, pairs: PairLoop, pose: Array, scale: Scale, settled: bool) -> Scale | None:
         """The scale after an iteration; `settled` when the pose has stopped moving at this one."""
 
 
@@ -38,9 +41,9 @@ class FigureTwo:
     scales the source's covariances alone."""
 
     def first(self, pairs: PairLoop, pose: Array) -> Scale:
-        return Scale(float(np.sqrt(pairs.nearest_sq(pose)).mean()), 1.0)
+        return Scale(max(LEAST_SIGMA, float(np.sqrt(pairs.nearest_sq(pose)).mean())), 1.0)
 
-    def next(self, pairs: PairLoop, pose: Array, sums: PairSums, scale: Scale, settled: bool) -> Scale | None:
+    def next(self, pairs: PairLoop, pose: Array, scale: Scale, settled: bool) -> Scale | None:
         return None if settled else self.first(pairs, pose)
 
 
@@ -52,17 +55,17 @@ class NearestDistance:
     dimension: int
 
     def first(self, pairs: PairLoop, pose: Array) -> Scale:
-        sigma = float(pairs.nearest_sq(pose).mean()) / self.dimension
+        sigma = max(LEAST_SIGMA, float(pairs.nearest_sq(pose).mean()) / self.dimension)
         return Scale(sigma, sigma)
 
-    def next(self, pairs: PairLoop, pose: Array, sums: PairSums, scale: Scale, settled: bool) -> Scale | None:
+    def next(self, pairs: PairLoop, pose: Array, scale: Scale, settled: bool) -> Scale | None:
         return None if settled else self.first(pairs, pose)
 
 
 @dataclass
 class Annealed:
     """`NearestDistance` until it settles, for its wide basin; then σ shrinks by `factor` whenever the pose has settled
-    or `patience` iterations have passed, down to `floor`, for the accuracy that points without a partner take away."""
+    or `patience` iterations have passed, down to `floor`: the accuracy that points without a partner take away."""
 
     dimension: int
     factor: float = 0.8
@@ -73,7 +76,7 @@ class Annealed:
     def first(self, pairs: PairLoop, pose: Array) -> Scale:
         return NearestDistance(self.dimension).first(pairs, pose)
 
-    def next(self, pairs: PairLoop, pose: Array, sums: PairSums, scale: Scale, settled: bool) -> Scale | None:
+    def next(self, pairs: PairLoop, pose: Array, scale: Scale, settled: bool) -> Scale | None:
         if self._waited is None:
             if not settled:
                 return self.first(pairs, pose)

@@ -1,0 +1,94 @@
+"""The two E-steps: the paper's adaptive weights, and posteriors on convolved Gaussians (the default)."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+from .arguments import Array
+from .kernels.pair_loop import PairLoop, PairSums, PosteriorSums
+from .sigma_rules import LEAST_SIGMA, Scale, SigmaRule
+
+# Volume of the world of a cloud of unit RMS radius, over which points without a partner are spread evenly.
+WORLD = {2: 12.0, 3: 30.0}
+# The share of such points is estimated within these bounds: never none, never nearly all.
+UNMATCHED_RANGE = (0.05, 0.6)
+# σ counts as settled when it changes by less than this share.
+SIGMA_TOLERANCE = 0.01
+
+
+class Expectation(Protocol):
+    """An E-step with the scale it works at."""
+
+    scale: Scale
+
+    def e_step(self, pose: Array) -> PairSums:
+        """All pairs weighed at `pose`."""
+
+    def shrink(self, pose: Array, sums: PairSums, settled: bool) -> bool:
+        """Choose the next scale at the new `pose`; True when the loop is done."""
+
+
+class AdaptiveExpectation:
+    """The paper's: C of Eq. 5 for every pair, σ by a rule on nearest distances."""
+
+    def __init__(self, pairs: PairLoop, rule: SigmaRule, start: Array) -> None:
+        self._pairs, self._rule = pairs, rule
+        self.scale = rule.first(pairs, start)
+
+    def e_step(self, pose: Array) -> PairSums:
+        return self._pairs.sums(pose, self.scale.source, self.scale.target)
+
+    def shrink(self, pose: Array, sums: PairSums, settled: bool) -> bool:
+        scale = self._rule.next(self._pairs, pose, self.scale, settled)
+        self.scale = scale or self.scale
+        return scale is None
+
+
+class PosteriorExpectation:
+    """Every pair weighed by the probability, given both clouds, that its points are the same place.
+
+    σ follows from the weights themselves: the mean squared Mahalanobis distance of the pairs, each by its weight, over
+    the dimension is what σ would have to be for the residuals to look as the mixtures say (CPD's update of σ²). Points
+    without a partner have no weight and do not hold it up, and it stops falling where the noise is. A fall by more than
+    the factor `fastest` at once would cost basin, so it is bounded. The share of points without a partner is estimated
+    from the same sums.
+    """
+
+    def __init__(
+        self,
+        pairs: PairLoop,
+        dimension: int,
+        sigma: float,
+        *,
+        unmatched: float = 0.1,
+        fastest: float = 0.8,
+        floor: float = 2.5e-4,
+        two_sided: bool = True,
+    ) -> None:
+        self._pairs, self._dimension = pairs, dimension
+        self._fastest, self._floor, self._two_sided = fastest, floor, two_sided
+        self._columns: Array | None = None
+        self.scale = Scale(sigma, sigma)
+        self.unmatched = unmatched
+
+    def e_step(self, pose: Array) -> PosteriorSums:
+        if self._two_sided and self._columns is None:
+            _, self._columns = self._pairs.posterior_sums(pose, self.scale.target, self._uniform())
+        columns = self._columns if self._two_sided else None
+        sums, self._columns = self._pairs.posterior_sums(pose, self.scale.target, self._uniform(), columns)
+        return sums
+
+    def shrink(self, pose: Array, sums: PairSums, settled: bool) -> bool:
+        assert isinstance(sums, PosteriorSums)
+        old = self.scale.target
+        observed = old * sums.energy / sums.weight / self._dimension
+        new = max(self._fastest * old, observed, self._floor, LEAST_SIGMA)
+        self.unmatched = min(max(1.0 - sums.overlap, UNMATCHED_RANGE[0]), UNMATCHED_RANGE[1])
+        self.scale = Scale(new, new)
+        return settled and abs(new / old - 1.0) < SIGMA_TOLERANCE
+
+    def _uniform(self) -> float:
+        """Density of the points without a partner relative to that of a mixture, without the constant (2π)^(-D/2)."""
+        odds = self.unmatched / (1.0 - self.unmatched)
+        return (2.0 * math.pi) ** (0.5 * self._dimension) / WORLD[self._dimension] * odds

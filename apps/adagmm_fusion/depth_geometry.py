@@ -38,8 +38,8 @@ def _undistort(pixels: np.ndarray, intrinsics: PinholeIntrinsics) -> np.ndarray:
             return rays
         rays[left] -= miss / (intrinsics.fx, intrinsics.fy)
     raise InputError(
-        f"intrinsics.distortion: cannot be undone in {intrinsics.width}x{intrinsics.height} pixels, the model folds over "
-        f"inside it; recalibrate with fewer coefficients (got {', '.join(f'{k:g}' for k in intrinsics.distortion)})"
+        f"intrinsics.distortion: cannot be undone for {intrinsics.width}x{intrinsics.height} pixels, the model folds "
+        "over inside the image; recalibrate with fewer coefficients"
     )
 
 

@@ -107,6 +107,54 @@ def pair_sums(y, B, x, A, source_weights=None, target_weights=None):
     )
 
 
+# E-step on convolved Gaussians
+
+
+@dataclass(frozen=True)
+class PosteriorSums:
+    """What a pass with posterior weights leaves behind; see `posterior_sums`."""
+
+    hessian: np.ndarray
+    """(3, 3) or (6, 6) Σ w JᵀPJ of y alone, P held."""
+    gradient: np.ndarray
+    """(3,) or (6,) Σ w JᵀPd."""
+    weight: float
+    """Σ w."""
+    energy: float
+    """Σ w dᵀPd."""
+    densities: np.ndarray
+    """(M,) density of the target mixture at the source points, without (2π)^(−D/2)."""
+    column_densities: np.ndarray
+    """(N,) density of the source mixture at the target points, without (2π)^(−D/2)."""
+
+
+def posterior_sums(y, S, x, T, uniform, column_densities=None, source_weights=None, target_weights=None):
+    """The E-step on N(d; 0, S_m + T_n), S (M, D, D) and T (N, D, D) being covariances, already turned and scaled.
+
+    A pair's weight w is its share of the density at y_m; with `column_densities`, the geometric mean of that share and
+    the one at x_n. `uniform` is the density of points without a partner.
+    """
+    u = np.full(len(y), 1.0 / len(y)) if source_weights is None else source_weights / np.sum(source_weights)
+    v = np.full(len(x), 1.0 / len(x)) if target_weights is None else target_weights / np.sum(target_weights)
+    d = y[:, None] - x[None]
+    summed = S[:, None] + T[None]
+    P = np.linalg.inv(summed)
+    density = np.linalg.det(summed) ** -0.5 * np.exp(-0.5 * np.einsum("mni,mnij,mnj->mn", d, P, d))
+    rows, columns = density @ v, u @ density
+    if column_densities is None:
+        w = density * u[:, None] * v / (rows + uniform)[:, None]
+    else:
+        w = density * u[:, None] * v / np.sqrt((rows + uniform)[:, None] * (column_densities + uniform)[None])
+    size = y.shape[1] * (y.shape[1] + 1) // 2
+    hessian, gradient = np.zeros((size, size)), np.zeros(size)
+    for m in range(len(y)):
+        J = _point_jacobian(y[m])
+        hessian += J.T @ np.einsum("n,nij->ij", w[m], P[m]) @ J
+        gradient += J.T @ np.einsum("n,nij,nj->i", w[m], P[m], d[m])
+    energy = np.einsum("mn,mni,mnij,mnj->", w, d, P, d)
+    return PosteriorSums(hessian, gradient, w.sum(), energy, rows, columns)
+
+
 # M-step
 
 

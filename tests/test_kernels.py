@@ -80,6 +80,31 @@ def test_the_gradient_is_the_slope_of_equation_5(dimension, isotropic):
 
 
 @shapes
+@pytest.mark.parametrize("two_sided", [False, True])
+@pytest.mark.parametrize(("m", "n"), [(3, 5), (CLUSTER + 1, TILE), (CHUNK + 1, 300)])
+def test_posterior_sums_match_the_naive_reference(dimension, isotropic, two_sided, m, n):
+    case = Case(11 * m + n, m, n, dimension, isotropic)
+    sigma, uniform = 0.2, 0.05
+    S, T = sigma * reference.turn(case.source_covariances, case.R), sigma * case.target_covariances
+    columns = np.random.default_rng(n).uniform(0.0, 0.5, n) if two_sided else None
+    expected = reference.posterior_sums(case.y, S, case.target, T, uniform, columns)
+    sums, column_densities = case.loop.posterior_sums(lift(case.pose), sigma, uniform, columns)
+    free = FREE[dimension]
+    scale = np.abs(expected.hessian).max()
+    np.testing.assert_allclose(sums.hessian[np.ix_(free, free)], expected.hessian, rtol=1e-5, atol=1e-6 * scale)
+    np.testing.assert_allclose(sums.gradient[free], expected.gradient, rtol=1e-5, atol=1e-6 * scale)
+    np.testing.assert_allclose([sums.weight, sums.energy], [expected.weight, expected.energy], rtol=1e-6, atol=0)
+    posterior = expected.densities / (expected.densities + uniform)
+    column_posterior = expected.column_densities / (expected.column_densities + uniform)
+    np.testing.assert_allclose(sums.row_weights, posterior, rtol=2e-6, atol=1e-9)
+    np.testing.assert_allclose(column_densities, expected.column_densities, rtol=2e-6, atol=1e-9)
+    overlaps = [sums.overlap, sums.target_overlap]
+    np.testing.assert_allclose(overlaps, [posterior.mean(), column_posterior.mean()], rtol=1e-6, atol=0)
+    likelihood = np.log1p(expected.densities / uniform).mean() + np.log1p(expected.column_densities / uniform).mean()
+    np.testing.assert_allclose(sums.log_likelihood, likelihood, rtol=1e-6, atol=0)
+
+
+@shapes
 def test_leaving_out_far_tiles_changes_nothing_worth_mentioning(dimension, isotropic):
     # Clouds 100 times wider than a component reaches: so nearly every tile is skipped.
     case = Case(2, 400, 900, dimension, isotropic, sigmas=(2e-4, 1e-4))

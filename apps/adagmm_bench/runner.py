@@ -34,6 +34,7 @@ def run_jobs(
     placement: Placement,
     *,
     run: Callable[[TrialJob], dict] = run_trial,
+    version_of: Callable[[str], str] = lambda name: METHODS[name].version(),
 ) -> list[dict]:
     """Run what the journal does not hold yet, made by the same version of its method; return all records in job order.
 
@@ -42,7 +43,7 @@ def run_jobs(
     TrialError  if jobs were left without a record; all others are in the journal by then.
     """
     jobs = list(jobs)
-    versions = {name: METHODS[name].version() for name in {job.method for job in jobs}}
+    versions = {name: version_of(name) for name in {job.method for job in jobs}}
     known = journal.records
     left = {job.key: job for job in jobs if known.get(job.key, {}).get("version") != versions[job.method]}
     failures = []

@@ -15,7 +15,7 @@ import open3d as o3d
 
 from adagmm_bench.methods import METHODS
 from adagmm_bench.models import load_models, make_blob, make_outline
-from adagmm_bench.problem import Cloud, Prepared, Problem, prepare
+from adagmm_bench.problem import Cloud, Problem, prepare
 from adagmm_bench.simulation import TrialId, simulate
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.evaluation import overlap_ratio, pose_errors
@@ -91,6 +91,7 @@ def run_trial(job: TrialJob) -> dict:
     seconds, cpu_seconds = time.perf_counter() - started, time.process_time() - started_cpu
     if not np.isfinite(T_prepared).all():
         status, reason, T_prepared = "failed", "the pose is not finite", np.eye(problem.dimension + 1)
+    T = orthonormal(prepared.restore(T_prepared))
     return {
         "key": job.key,
         "method": job.method,
@@ -101,16 +102,15 @@ def run_trial(job: TrialJob) -> dict:
         "reason": reason,
         "seconds": seconds,
         "cpu_seconds": cpu_seconds,
-        **judge(problem, prepared, T_prepared, job.problem.partner_distance),
+        **judge(problem, T, job.problem.partner_distance),
     }
 
 
-def judge(problem: Problem, prepared: Prepared, T_prepared: np.ndarray, partner_distance: float) -> dict:
-    """The pose between the given clouds, its errors where the truth is known, and its overlap beside the truth's.
+def judge(problem: Problem, T: np.ndarray, partner_distance: float) -> dict:
+    """A pose between the clouds as they were given, its errors where the truth is known, and its overlap.
 
     Overlap is counted over the points that are not marked as outliers.
     """
-    T = orthonormal(prepared.restore(T_prepared))
     source, target = (cloud.points[~cloud.flagged()] for cloud in (problem.source, problem.target))
     record = {"T_target_source": T.tolist(), "overlap": overlap_ratio(source, target, T, partner_distance)}
     if problem.T_target_source is not None:

@@ -117,13 +117,19 @@ def _import_failure(library: str) -> str | None:
 @cache
 def _version(library: str) -> str:
     if library == "adagmm_o3d":
-        folder = Path(importlib.import_module(library).__file__).parent
-        digest = hashlib.sha256()
-        for path in sorted(folder.rglob("*.py")):
-            digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
-        return f"adagmm-o3d {importlib.metadata.version('adagmm-o3d')} ({digest.hexdigest()[:12]})"
+        return f"adagmm-o3d {importlib.metadata.version('adagmm-o3d')} ({source_digest(library)})"
     distributions = importlib.metadata.packages_distributions().get(library, [library])
     try:
         return f"{library} {importlib.metadata.version(distributions[0])}"
     except importlib.metadata.PackageNotFoundError:
         return library
+
+
+def source_digest(*packages: str) -> str:
+    """Twelve digits that change with any Python file of the packages."""
+    digest = hashlib.sha256()
+    for package in packages:
+        folder = Path(importlib.import_module(package).__file__).parent
+        for path in sorted(folder.rglob("*.py")):
+            digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()[:12]

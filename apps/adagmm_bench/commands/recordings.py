@@ -1,0 +1,119 @@
+"""`recordings`: RGB-D recordings with ground truth, end to end through the app, and others on the same clouds."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Mapping
+
+import numpy as np
+
+from adagmm_bench.commands.options import (
+    add_data,
+    add_methods,
+    add_output,
+    add_placement,
+    chosen_methods,
+    chosen_starts,
+    data_folder,
+    journal_path,
+    placement,
+    starts_of,
+)
+from adagmm_bench.journal import Journal
+from adagmm_bench.methods import METHODS
+from adagmm_bench.methods.registry import source_digest
+from adagmm_bench.pair_report import pair_table, write_pair_report
+from adagmm_bench.report import markdown_table, print_table
+from adagmm_bench.runner import run_jobs
+from adagmm_bench.scenes import RECORDING_PARTNER_DISTANCE, find_frame_pairs
+from adagmm_bench.summary import summarise
+from adagmm_bench.trial import TrialJob, judge, run_trial
+from adagmm_fusion.pipeline import register_pair
+from adagmm_fusion.settings import Settings
+
+END_TO_END = "adagmm-fusion"
+METHODS_BESIDE = ("adagmm", "open3d-point-to-plane", "open3d-gicp", "open3d-gicp-covariances", "small-gicp")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_methods(parser)
+    parser.set_defaults(methods=METHODS_BESIDE, starts=("as-given", "centroids"))
+    add_data(parser)
+    add_placement(parser)
+    add_output(parser, "recordings")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    pairs, unusable = find_frame_pairs(data_folder(arguments))
+    for line in unusable:
+        print(f"left out {line}", file=sys.stderr)
+    methods, skipped = chosen_methods(arguments, 3)
+    starts = chosen_starts(arguments)
+    jobs = [TrialJob(pair, END_TO_END, "as-given") for pair in pairs]
+    # Pair by pair, so that a worker makes its clouds once.
+    jobs += [
+        TrialJob(pair, method.name, start)
+        for pair in pairs
+        for method in methods
+        for start in starts_of(method, starts)
+    ]
+    with Journal(journal_path(arguments)) as journal:
+        records = run_jobs(jobs, journal, placement(arguments), run=run_frame_trial, version_of=version_of)
+    limits = Settings()
+
+    def found(record: Mapping) -> bool:
+        within_translation = 1000 * record["translation_error"] <= limits.max_translation_error_mm
+        return record["rotation_error_deg"] <= limits.max_rotation_error_deg and within_translation
+
+    body = (
+        f"Found: rotation within {limits.max_rotation_error_deg:g}° and translation within "
+        f"{limits.max_translation_error_mm:g} mm of the recording's ground truth. {END_TO_END} is the whole app from "
+        "the frames on, with the time of making the clouds; the others get its clouds. Overlap: share of source points "
+        f"with a target point within {1000 * RECORDING_PARTNER_DISTANCE:g} mm.\n\n"
+    )
+    for name in dict.fromkeys(record["problem"]["recording"] for record in records):
+        own = [record for record in records if record["problem"]["recording"] == name]
+        summaries = summarise(own, found)
+        columns, rows = pair_table(summaries, own)
+        body += f"## {name}\n\n{markdown_table(columns, rows)}\n"
+        print_table(f"{name}, {summaries[0].trials} pairs", columns, rows)
+    if unusable:
+        body += "Recordings left out:\n\n" + "".join(f"- {line}\n" for line in unusable)
+    title = "RGB-D recordings with ground truth"
+    write_pair_report(arguments.output, title, body, records, summarise(records, found), skipped)
+    print(f"report and every trial: {arguments.output}")
+    return 0
+
+
+def version_of(method_name: str) -> str:
+    if method_name != END_TO_END:
+        return METHODS[method_name].version()
+    return f"{METHODS['adagmm'].version()} in adagmm-fusion ({source_digest('adagmm_fusion')})"
+
+
+def run_frame_trial(job: TrialJob) -> dict:
+    """A method on the app's clouds, or, under the name of the app, its own pipeline from the frames on."""
+    if job.method != END_TO_END:
+        return run_trial(job)
+    pair = job.problem.frames()
+    started, started_cpu = time.perf_counter(), time.process_time()
+    outcome = register_pair(pair, Settings())
+    seconds, cpu_seconds = time.perf_counter() - started, time.process_time() - started_cpu
+    if outcome.T_estimate is None:
+        status, T = "failed", np.eye(4)
+    else:
+        status, T = "ok", np.asarray(outcome.T_estimate)
+    return {
+        "key": job.key,
+        "method": job.method,
+        "start": job.start,
+        "version": version_of(job.method),
+        "problem": job.problem.facts(),
+        "status": status,
+        "reason": outcome.reason,
+        "seconds": seconds,
+        "cpu_seconds": cpu_seconds,
+        **judge(job.problem.load(), T, job.problem.partner_distance),
+    }

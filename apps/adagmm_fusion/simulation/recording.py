@@ -36,8 +36,8 @@ def look_at(eye, point, roll_deg: float) -> np.ndarray:
 
 
 T_WORLD_CAMERA = {
-    TARGET: look_at((-0.75, 0.35, 1.28), (0.05, 2.9, 0.75), roll_deg=-1.5),
-    SOURCE: look_at((0.72, 0.50, 1.45), (0.0, 3.0, 0.80), roll_deg=2.0),
+    TARGET: look_at((-0.37, 0.10, 1.35), (-0.50, 3.00, 0.75), roll_deg=-1.5),
+    SOURCE: look_at((1.10, 0.58, 1.50), (-0.50, 3.00, 0.75), roll_deg=2.0),
 }
 
 

@@ -50,7 +50,7 @@ def furnish(seed: int, pair_index: int) -> list[Part]:
         *_sideboard(WIDTH / 2 - 0.24, 2.35),
         *_chair(-1.25 + moving.uniform(-0.15, 0.2), 2.45 + moving.uniform(-0.25, 0.25), moving.uniform(-150.0, -60.0)),
         *_ball(moving.uniform(-0.75, -0.35), moving.uniform(1.7, 2.6), moving),
-        *_carton(moving.uniform(0.95, 1.35), moving.uniform(1.65, 2.0), moving.uniform(-40.0, 40.0)),
+        *_carton(moving.uniform(-0.7, -0.45), moving.uniform(3.0, 3.2), moving.uniform(-40.0, 40.0)),
     ]
 
 
@@ -300,6 +300,6 @@ def _random_rotation(rng: np.random.Generator) -> np.ndarray:
 def _carton(x: float, y: float, turn_deg: float) -> list[Part]:
     low, high = (0.42, 0.32, 0.30), (0.26, 0.22, 0.20)
     return [
-        Part(Box(low), carton(low, seed=90), at(x, y, 0.15 + 0.0, turn_deg)),
+        Part(Box(low), carton(low, seed=90), at(x, y, 0.15, turn_deg)),
         Part(Box(high), carton(high, seed=91), at(x + 0.03, y - 0.02, 0.40, turn_deg + 27.0)),
     ]

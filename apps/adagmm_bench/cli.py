@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from adagmm_bench.commands import kinect, methods_list, simulations
+from adagmm_bench.commands import kinect, methods_list, recordings, simulations
 from adagmm_o3d.errors import AdaGMMError
 
 INTERRUPTED = 130
@@ -32,6 +32,12 @@ def build_parser() -> argparse.ArgumentParser:
             partial(simulations.run, dimension=dimension),
         )
     add("kinect", "the paper's Kinect scenes and its Figure 18", kinect.add_arguments, kinect.run)
+    add(
+        "recordings",
+        "RGB-D recordings with ground truth, end to end through the app",
+        recordings.add_arguments,
+        recordings.run,
+    )
     add("methods", "the methods, their settings, and which can run here", methods_list.add_arguments, methods_list.run)
     return parser
 

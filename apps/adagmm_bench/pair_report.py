@@ -14,18 +14,18 @@ from adagmm_fusion.atomic_file import write_text
 
 
 def pair_table(summaries: Iterable[Summary], records: Sequence[dict]) -> tuple[list[str], list[list]]:
-    """A row for each method and start, best mean rotation error first."""
+    """A row for each method and start, best mean rotation error first; rotation and mm are means."""
     columns = [
         "method (start)",
         "found",
         "gave up",
-        "rotation mean",
+        "rotation",
         "median",
-        "median deg",
-        "translation mean mm",
+        "median°",
+        "mm",
         "median mm",
         "overlap",
-        "overlap of the truth",
+        "of truth",
         "median s",
         "total s",
     ]

@@ -70,19 +70,20 @@ def plot_pair_errors(
     ours: Sequence[str],
     published: float | None,
 ) -> None:
-    """Figure 18: the rotation error of every method on one pair as bars, best on top."""
+    """Figure 18: the rotation error of every method on one pair as dots, best on top."""
     figure = Figure(figsize=(8.0, 1.2 + 0.28 * len(labels)), layout="constrained")
     axes = figure.add_subplot()
     order = np.argsort(errors, kind="stable")[::-1]
     colours = ["#000000" if labels[i] in ours else "#56B4E9" for i in order]
     rows = np.arange(len(order))
-    axes.barh(rows, [errors[i] for i in order], color=colours)
+    axes.scatter([errors[i] for i in order], rows, color=colours, zorder=3)
+    axes.grid(alpha=0.3)
     axes.set_yticks(rows, [labels[i] for i in order], fontsize=8)
     for row, i in zip(rows, order, strict=True):
-        axes.text(errors[i], row, f" {errors[i]:.3f}", va="center", fontsize=7)
+        axes.text(errors[i], row, f"  {errors[i]:.4f}", va="center", fontsize=7)
     if published is not None:
         axes.axvline(published, color="#D55E00", linestyle="--", linewidth=1.2, label=f"the paper's {published:g}")
-        axes.legend(fontsize=8, loc="lower right")
+        figure.legend(fontsize=8, loc="outside lower right")
     axes.set_xscale("log")
     axes.margins(x=0.12, y=0.01)
     axes.set_xlabel(ERROR_LABEL)

@@ -75,5 +75,6 @@ def _progress() -> Progress:
         TimeElapsedColumn(),
         TextColumn("left"),
         TimeRemainingColumn(),
-        console=Console(file=sys.stderr),
+        # Without a terminal there is no width to fit, and a log should not lose the ends of its lines.
+        console=Console(file=sys.stderr, width=None if sys.stderr.isatty() else 140),
     )

@@ -30,7 +30,7 @@ SCENE_ARRAYS = (
 
 @dataclass(frozen=True)
 class KinectScene:
-    """`scene_XX.npz`: two clouds [m] with covariances, the calibrated pose, and the authors' own result with its time."""
+    """`scene_XX.npz`: two clouds [m] with covariances, the calibrated pose, and the authors' result."""
 
     path: Path
     partner_distance: float = KINECT_PARTNER_DISTANCE

@@ -60,8 +60,8 @@ def run(arguments: argparse.Namespace) -> int:
     body = (
         f"{len(scenes)} scenes. Found: rotation within {BASIN_DEG:g}° and translation within {BASIN_M:g} m. The "
         "ground truth is good to about 1.4° and 25 mm, on some scenes worse, so overlap stands beside the errors: the "
-        f"share of unflagged source points with a target point within {KinectScene.partner_distance * 1000:g} mm, at the "
-        "estimate and at the ground truth. Authors: their own poses and times, GTX 1080.\n\n"
+        f"share of unflagged source points with a target point within {KinectScene.partner_distance * 1000:g} mm, at "
+        "the estimate and at the ground truth. Authors: their own poses and times, GTX 1080.\n\n"
     )
     body += markdown_table(columns, rows)
     body += f"\n## Figure 18\n\n![Figure 18]({figure.name})\n\n## Scene by scene\n\n{scene_table(records, summaries)}\n"

@@ -5,6 +5,7 @@ from adagmm_bench.methods import (  # noqa: F401  importing registers
     kiss_matcher_methods,
     open3d_global,
     open3d_local,
+    ours,
     point_drift,
     small_gicp_methods,
     teaser_methods,

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from rich.table import Table
+from rich.text import Text
 
 from adagmm_fusion.atomic_file import write_text
 from adagmm_fusion.pair_record import PairRecord
@@ -88,11 +89,12 @@ class Report:
 
 def terminal_table(report: Report) -> Table:
     """The table of all pairs, for rich."""
-    table = Table(title=f"{report.recording}: {report.headline()}", title_justify="left")
+    # Text, not str: rich would take a unit in brackets for markup.
+    table = Table(title=Text(f"{report.recording}: {report.headline()}"), title_justify="left")
     for index, name in enumerate(COLUMNS):
-        table.add_column(name, justify="left" if index in (0, len(COLUMNS) - 1) else "right", overflow="fold")
+        table.add_column(Text(name), justify="left" if index in (0, len(COLUMNS) - 1) else "right", overflow="fold")
     for record in report.records:
-        table.add_row(*_row(record), style=None if record.status == "ok" else "red")
+        table.add_row(*map(Text, _row(record)), style=None if record.status == "ok" else "red")
     return table
 
 

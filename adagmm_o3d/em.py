@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from .kernels.pair_loop import PairSums
 from .lie import se_exp
 from .m_step import solve_step
 from .result import StopReason
-from .sigma_rules import Scale
+from .trace import Iteration
 
 
 @dataclass(frozen=True)
@@ -22,24 +22,21 @@ class Criteria:
     """When an EM iteration has changed nothing worth another one; the words and numbers are Open3D's.
 
     The residual is flat at its minimum: a step of ε standard deviations changes it by about ε². So a pose has settled
-    when a step is below √relative_rmse standard deviations of the mixtures.
-    max_iteration bounds the EM iterations.
+    when a step is below √relative_rmse standard deviations of the mixtures. max_iteration bounds the EM iterations.
     """
 
     relative_rmse: float
     max_iteration: int
 
 
-@dataclass
-class Trace:
-    """What happened: one entry for each iteration; `poses` has the start as well."""
+@dataclass(frozen=True)
+class Outcome:
+    """Where the loop ended and how; `sums` are those of the last E-step, None if there was no pair with any weight."""
 
-    poses: list[Array]
-    scales: list[Scale] = field(default_factory=list)
-    energies: list[float] = field(default_factory=list)
-    stop_reason: StopReason = StopReason.MAX_ITERATION
-    sums: PairSums | None = None
-    unobservable: tuple[Array, ...] = ()
+    pose: Array
+    iterations: tuple[Iteration, ...]
+    stop_reason: StopReason
+    sums: PairSums | None
 
 
 def expectation_maximisation(
@@ -47,34 +44,30 @@ def expectation_maximisation(
     start: Array,
     criteria: Criteria,
     dimension: int,
+    *,
     relaxation: float = 1.0,
-    observe: Callable[[Trace], None] | None = None,
-) -> Trace:
+    level: int = 0,
+    observe: Callable[[Iteration], None] | None = None,
+) -> Outcome:
     """Move the source from `start` (4, 4) until pose and σ have settled or `max_iteration` is reached.
 
-    `relaxation` lengthens every step. `observe` is called after each iteration.
+    `relaxation` lengthens every step; `observe` is called after each iteration.
     """
-    pose = start
-    trace = Trace([pose])
+    pose, iterations, sums = start, [], None
     for _ in range(criteria.max_iteration):
         # E-step: the weights of all pairs at the old pose, and their sums (Eq. 5).
-        scale = expectation.scale
+        sigma = expectation.scale.target
         sums = expectation.e_step(pose)
         if not sums.weight > 0.0:
-            trace.stop_reason = StopReason.NO_OVERLAP
-            break
-        # M-step: R, t that lower Eq. 5, the weights held and the source's covariances turning with R.
-        step = solve_step(sums.hessian, sums.gradient, dimension)
-        pose = se_exp(relaxation * step.delta) @ pose
-        trace.poses.append(pose)
-        trace.scales.append(scale)
-        trace.energies.append(sums.energy / sums.weight)
-        trace.sums, trace.unobservable = sums, step.unobservable
+            return Outcome(pose, tuple(iterations), StopReason.NO_OVERLAP, None)
+        # M-step: R, t that lower Eq. 5, the weights held.
+        delta = relaxation * solve_step(sums.hessian, sums.gradient, dimension)
+        pose = se_exp(delta) @ pose
+        iterations.append(Iteration(pose, sigma, sums.energy / sums.weight, expectation.matched(sums), level))
         if observe is not None:
-            observe(trace)
+            observe(iterations[-1])
         # σ: both mixtures shrink as the clouds come together.
-        settled = float(np.linalg.norm(step.delta)) <= math.sqrt(criteria.relative_rmse * scale.target)
+        settled = float(np.linalg.norm(delta)) <= math.sqrt(criteria.relative_rmse * sigma)
         if expectation.shrink(pose, sums, settled):
-            trace.stop_reason = StopReason.CONVERGED
-            break
-    return trace
+            return Outcome(pose, tuple(iterations), StopReason.CONVERGED, sums)
+    return Outcome(pose, tuple(iterations), StopReason.MAX_ITERATION, sums)

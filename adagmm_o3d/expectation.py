@@ -11,8 +11,9 @@ from .sigma_rules import LEAST_SIGMA, Scale, SigmaRule
 
 # Volume of the world of a cloud of unit RMS radius, over which points without a partner are spread evenly.
 WORLD = {2: 12.0, 3: 30.0}
-# The share of such points is estimated within these bounds: never none, never nearly all.
-UNMATCHED_RANGE = (0.05, 0.6)
+# The share of such points is estimated within these bounds: never none, never nearly all. The lower one is what keeps
+# the weights of a finished registration soft under noise.
+UNMATCHED_RANGE = (0.15, 0.7)
 # σ counts as settled when it changes by less than this share.
 SIGMA_TOLERANCE = 0.01
 
@@ -27,6 +28,9 @@ class Expectation(Protocol):
 
     def shrink(self, pose: Array, sums: PairSums, settled: bool) -> bool:
         """Choose the next scale at the new `pose`; True when the loop is done."""
+
+    def matched(self, sums: PairSums) -> float:
+        """Estimated share of the source that has a partner; NaN where the weights do not tell."""
 
 
 class AdaptiveExpectation:
@@ -43,6 +47,9 @@ class AdaptiveExpectation:
         scale = self._rule.next(self._pairs, pose, self.scale, settled)
         self.scale = scale or self.scale
         return scale is None
+
+    def matched(self, sums: PairSums) -> float:
+        return math.nan
 
 
 class PosteriorExpectation:
@@ -61,10 +68,10 @@ class PosteriorExpectation:
         dimension: int,
         sigma: float,
         *,
-        unmatched: float = 0.1,
+        unmatched: float,
+        two_sided: bool,
         fastest: float = 0.8,
         floor: float = 2.5e-4,
-        two_sided: bool = True,
     ) -> None:
         self._pairs, self._dimension = pairs, dimension
         self._fastest, self._floor, self._two_sided = fastest, floor, two_sided
@@ -88,7 +95,14 @@ class PosteriorExpectation:
         self.scale = Scale(new, new)
         return settled and abs(new / old - 1.0) < SIGMA_TOLERANCE
 
+    def matched(self, sums: PairSums) -> float:
+        assert isinstance(sums, PosteriorSums)
+        return sums.overlap
+
     def _uniform(self) -> float:
-        """Density of the points without a partner relative to that of a mixture, without the constant (2π)^(-D/2)."""
-        odds = self.unmatched / (1.0 - self.unmatched)
-        return (2.0 * math.pi) ** (0.5 * self._dimension) / WORLD[self._dimension] * odds
+        return uniform_density(self.unmatched, self._dimension)
+
+
+def uniform_density(unmatched: float, dimension: int) -> float:
+    """Density of the points without a partner relative to that of a mixture, without the constant (2π)^(-D/2)."""
+    return (2.0 * math.pi) ** (0.5 * dimension) / WORLD[dimension] * unmatched / (1.0 - unmatched)

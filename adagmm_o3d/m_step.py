@@ -6,38 +6,22 @@ included. One step for every E-step (generalised EM) reaches the fixed points of
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 
 from .arguments import Array
 
+# The free directions of a left perturbation δ = (ω, v): in the plane z = 0 the turn about z and the shifts in x and y.
 FREE = {2: np.array([2, 3, 4]), 3: np.arange(6)}
-# A direction this much softer than the stiffest one is left free by the points, in unit-radius coordinates.
-UNOBSERVABLE = 1e-7
+# A direction this much softer than the stiffest one is not determined by the pairs and gets no step.
+SOFT = 1e-9
 
 
-@dataclass(frozen=True)
-class Step:
-    """A left perturbation δ = (ω, v), (6,), and the unit directions, (6,) each, in which it was not determined."""
-
-    delta: Array
-    unobservable: tuple[Array, ...]
-
-
-def solve_step(hessian: NDArray, gradient: NDArray, dimension: int) -> Step:
-    """δ = -H⁻¹ g on the free directions of the dimension, leaving undetermined ones alone."""
+def solve_step(hessian: Array, gradient: Array, dimension: int) -> Array:
+    """(6,) δ = -H⁻¹ g on the free directions of the dimension."""
     free = FREE[dimension]
-    h, g = hessian[np.ix_(free, free)], gradient[free]
-    values, vectors = np.linalg.eigh(h)
-    soft = values <= UNOBSERVABLE * values[-1]
-    inverse = np.where(soft, 0.0, 1.0 / np.where(soft, 1.0, values))
+    values, vectors = np.linalg.eigh(hessian[np.ix_(free, free)])
+    firm = values > SOFT * values[-1]
+    inverse = np.where(firm, 1.0 / np.where(firm, values, 1.0), 0.0)
     delta = np.zeros(6)
-    delta[free] = -vectors @ (inverse * (vectors.T @ g))
-    directions = []
-    for k in np.flatnonzero(soft):
-        direction = np.zeros(6)
-        direction[free] = vectors[:, k]
-        directions.append(direction)
-    return Step(delta, tuple(directions))
+    delta[free] = -vectors @ (inverse * (vectors.T @ gradient[free]))
+    return delta

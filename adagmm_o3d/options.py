@@ -9,7 +9,7 @@ from .arguments import real_number
 from .errors import InputError
 
 DEFAULT_MAX_ITERATION = 200
-DEFAULT_RELATIVE_RMSE = 1e-4
+DEFAULT_RELATIVE_RMSE = 1e-5
 
 SigmaRuleName = Literal["posterior", "annealed", "nearest", "figure2"]
 StartName = Literal["auto", "init", "centroids"]
@@ -29,6 +29,7 @@ class TransformationEstimationForAdaptiveGMM:
     start : where to begin when `init` is the identity or left out.
         "auto": at the identity or with common centroids, whichever explains the clouds better.
         "init": at the identity.   "centroids": with common centroids (the paper).
+    two_sided : posteriors seen from both clouds (True) or from the source alone.
     relaxation : lengthens every step, 1 <= relaxation < 2; above 1 it saves iterations.
 
     Raises
@@ -38,6 +39,7 @@ class TransformationEstimationForAdaptiveGMM:
 
     sigma_rule: SigmaRuleName = "posterior"
     start: StartName = "auto"
+    two_sided: bool = True
     relaxation: float = 1.0
 
     def __post_init__(self) -> None:

@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from . import starts
 from .arguments import Array
-from .em import Criteria, Trace, expectation_maximisation
+from .cascade import DECIDING, decide, refine, search
+from .em import Criteria, Outcome, expectation_maximisation
 from .errors import DeviceError, InputError
-from .expectation import AdaptiveExpectation, Expectation, PosteriorExpectation
+from .expectation import AdaptiveExpectation
 from .kernels.pair_loop import PairLoop
 from .lie import project_to_rotation, split
 from .mixture import Mixture, Normalisation, make_mixture, normalise
 from .options import DEFAULT_MAX_ITERATION, DEFAULT_RELATIVE_RMSE, TransformationEstimationForAdaptiveGMM
 from .result import PointRegistrationResult, StopReason
-from .sigma_rules import Annealed, FigureTwo, NearestDistance
+from .sigma_rules import Annealed, FigureTwo, NearestDistance, SigmaRule
+from .start_search import Start
+from .trace import Iteration
 
 # A pose handed over by another program has float32 digits.
 INIT_TOLERANCE = 1e-4
-# The posterior's first σ: a third of the radius is one standard deviation and a half.
-FIRST_SIGMA = 0.3
 
 Observer = Callable[[dict[str, Any]], None]
 
@@ -78,12 +82,46 @@ def register_points(
         )
     dimension = moving.dimension
     moving, fixed, normalisation = normalise(moving, fixed)
-    start = _start(init, normalisation, dimension)
-    pairs = PairLoop(moving, fixed)
     observe = _observer(callback_after_iteration, normalisation, dimension)
-    expectation = _expectation(method, pairs, dimension, start)
-    trace = expectation_maximisation(expectation, start, limits, dimension, method.relaxation, observe)
-    return _result(trace, normalisation, moving, fixed)
+    if method.sigma_rule == "posterior":
+        first = _starts(method, init, normalisation, dimension)
+        start, outcome = _search_and_refine(moving, fixed, first, method, limits, observe)
+    else:
+        start = np.eye(4) if init is None else _start_pose(init, normalisation, dimension)
+        pairs = PairLoop(moving, fixed)
+        expectation = AdaptiveExpectation(pairs, _sigma_rule(method, dimension), start)
+        outcome = expectation_maximisation(
+            expectation, start, limits, dimension, relaxation=method.relaxation, observe=observe
+        )
+    return _result(start, outcome, normalisation, moving, fixed)
+
+
+def _search_and_refine(
+    source: Mixture,
+    target: Mixture,
+    first: list[Start],
+    method: TransformationEstimationForAdaptiveGMM,
+    criteria: Criteria,
+    observe: Callable[[Iteration], None] | None,
+) -> tuple[Array, Outcome]:
+    ends = search(source, target, first)
+    candidates = decide(source, target, ends, criteria, two_sided=method.two_sided)
+    best = candidates[0]
+    if observe is not None:
+        for iteration in best.outcome.iterations:
+            observe(iteration)
+    if max(len(source), len(target)) <= DECIDING:
+        return best.start, best.outcome
+    outcome = refine(
+        PairLoop(source, target),
+        best,
+        criteria,
+        source.dimension,
+        two_sided=method.two_sided,
+        relaxation=method.relaxation,
+        observe=observe,
+    )
+    return best.start, outcome
 
 
 def _check_device(device: str) -> None:
@@ -101,71 +139,85 @@ def _criteria(criteria: Any) -> Criteria:
     return Criteria(float(criteria.relative_rmse), int(criteria.max_iteration))
 
 
-def _start(init: ArrayLike | None, normalisation: Normalisation, dimension: int) -> Array:
-    if init is None:
-        return np.eye(4)
+def _starts(
+    method: TransformationEstimationForAdaptiveGMM,
+    init: ArrayLike | None,
+    normalisation: Normalisation,
+    dimension: int,
+) -> list[Start]:
+    centroids = np.eye(4)
+    pose = None if init is None else _start_pose(init, normalisation, dimension)
+    identity = normalisation.pose_in(np.eye(4))
+    given = identity if pose is None else pose
+    if method.start == "init":
+        return starts.at(given)
+    if method.start == "centroids" or pose is None or np.allclose(pose, identity):
+        around = starts.around(centroids, dimension)
+        return around if method.start == "centroids" else [*around, *starts.at(identity)]
+    return starts.at(given)
+
+
+def _start_pose(init: ArrayLike, normalisation: Normalisation, dimension: int) -> Array:
+    """(4, 4) `init` between the normalised clouds."""
     rotation, translation = split(init, name="init", tolerance=INIT_TOLERANCE)
     if len(translation) != dimension:
         raise InputError(f"init: expected shape ({dimension + 1}, {dimension + 1}), got {np.shape(init)}")
     pose = np.eye(4)
     pose[:dimension, :dimension] = project_to_rotation(rotation)
     pose[:dimension, 3] = translation
-    if np.array_equal(pose, np.eye(4)):
-        return pose
     return normalisation.pose_in(pose)
 
 
-def _expectation(
-    method: TransformationEstimationForAdaptiveGMM, pairs: PairLoop, dimension: int, start: Array
-) -> Expectation:
-    if method.sigma_rule == "posterior":
-        return PosteriorExpectation(pairs, dimension, FIRST_SIGMA)
+def _sigma_rule(method: TransformationEstimationForAdaptiveGMM, dimension: int) -> SigmaRule:
     rules = {"annealed": Annealed(dimension), "nearest": NearestDistance(dimension), "figure2": FigureTwo()}
-    return AdaptiveExpectation(pairs, rules[method.sigma_rule], start)
+    return rules[method.sigma_rule]
 
 
 def _observer(
     callback: Observer | None, normalisation: Normalisation, dimension: int
-) -> Callable[[Trace], None] | None:
+) -> Callable[[Iteration], None] | None:
     if callback is None:
         return None
+    indices = Counter[int]()
 
-    def observe(trace: Trace) -> None:
-        index = len(trace.energies) - 1
-        sums = trace.sums
+    def observe(iteration: Iteration) -> None:
         callback(
             {
-                "iteration_index": index,
-                "scale_index": 0,
-                "scale_iteration_index": index,
-                "inlier_rmse": float(np.sqrt(trace.energies[-1] * trace.scales[-1].target)) * normalisation.scale,
-                "fitness": float(getattr(sums, "overlap", 1.0)),
-                "transformation": _lower(normalisation.pose_out(trace.poses[-1]), dimension),
-                "sigma": normalisation.sigma_out(trace.scales[-1].target),
-                "energy": trace.energies[-1],
+                "iteration_index": indices.total(),
+                "scale_index": iteration.level,
+                "scale_iteration_index": indices[iteration.level],
+                "inlier_rmse": math.sqrt(iteration.energy * iteration.sigma) * normalisation.scale,
+                "fitness": iteration.matched,
+                "transformation": _lower(normalisation.pose_out(iteration.pose), dimension),
+                "sigma": normalisation.sigma_out(iteration.sigma),
+                "energy": iteration.energy,
             }
         )
+        indices[iteration.level] += 1
 
     return observe
 
 
-def _result(trace: Trace, normalisation: Normalisation, moving: Mixture, fixed: Mixture) -> PointRegistrationResult:
+def _result(
+    start: Array, outcome: Outcome, normalisation: Normalisation, moving: Mixture, fixed: Mixture
+) -> PointRegistrationResult:
     dimension = moving.dimension
-    poses = _lower(normalisation.pose_out(np.array(trace.poses)), dimension)
-    warnings = [] if trace.stop_reason is StopReason.CONVERGED else [str(trace.stop_reason)]
+    poses = np.array([start, *(i.pose for i in outcome.iterations)])
+    poses = _lower(normalisation.pose_out(poses), dimension)
+    warnings = [] if outcome.stop_reason is StopReason.CONVERGED else [str(outcome.stop_reason)]
     return PointRegistrationResult(
         transformation=poses[-1],
-        stop_reason=trace.stop_reason,
-        iterations=len(trace.energies),
-        sigmas=np.array([normalisation.sigma_out(s.target) for s in trace.scales]),
-        energies=np.array(trace.energies),
+        stop_reason=outcome.stop_reason,
+        iterations=len(outcome.iterations),
+        sigmas=np.array([normalisation.sigma_out(i.sigma) for i in outcome.iterations]),
+        energies=np.array([i.energy for i in outcome.iterations]),
         transformations=poses,
-        overlap=float(getattr(trace.sums, "overlap", np.nan)),
-        row_weights=trace.sums.row_weights,
+        overlap=outcome.iterations[-1].matched if outcome.iterations else 0.0,
+        row_weights=np.zeros(len(moving)) if outcome.sums is None else outcome.sums.row_weights,
         dropped_source=moving.dropped,
         dropped_target=fixed.dropped,
         pose_covariance=None,
-        unobservable=trace.unobservable,
+        unobservable=(),
         ambiguous=False,
         warnings=tuple(warnings),
     )

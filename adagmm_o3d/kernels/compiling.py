@@ -1,6 +1,7 @@
 """How the CPU kernels are compiled: the flags that make them vectorise, and a cache that cannot go stale."""
 
 import hashlib
+import math
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from . import gaussian
 FAST = {"reassoc", "contract", "arcp", "nsz"}
 FLAGS = {"fastmath": FAST, "error_model": "numpy"}
 KERNEL_FLAGS = {"parallel": True, "cache": True, "nogil": True, **FLAGS}
+# exp(-q/2) = 2**-(LOG2_SCALE q): the kernels know only powers of two.
+LOG2_SCALE = 0.5 / math.log(2.0)
 F0, F1 = np.float32(0.0), np.float32(1.0)
 
 

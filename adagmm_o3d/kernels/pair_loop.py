@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numba
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from ..arguments import Array
 from ..mixture import Mixture
 from .adaptive_sums import adaptive_sums
+from .compiling import LOG2_SCALE
 from .convolution_sums import convolution_sums
 from .culling import CHUNK, CLUSTER
 from .layout import GRADIENT, HESSIAN, TOTAL_ENERGY, TOTAL_LIKELIHOOD, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
@@ -20,8 +20,6 @@ from .tiles import make_tiles, morton_order
 
 Float32 = NDArray[np.float32]
 
-# exp(-q/2) = 2**-(LOG2_SCALE q): the kernels know only powers of two.
-LOG2_SCALE = 0.5 / math.log(2.0)
 # Pairs whose weight is below 2**-CUT_BITS of the largest possible one may be left out, whole tiles at a time.
 CUT_BITS = 24.0
 # With fewer pairs than this for each thread, waking it costs more than it brings.

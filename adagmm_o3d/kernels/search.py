@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from .compiling import F0, F1, FLAGS, KERNEL_FLAGS, formulas, source_stamp
+from .compiling import F0, F1, FLAGS, KERNEL_FLAGS, LOG2_SCALE, formulas, source_stamp
 from .convolution_sums import row_convolved
 from .layout import (
     DENSITY,
@@ -28,9 +28,12 @@ rotate_point, rotate_symmetric = formulas.rotate_point, formulas.rotate_symmetri
 # What is known of a start, one column each.
 SIGMA, UNMATCHED, TWO_SIDED, FASTEST, ITERATIONS, FOLLOW = range(6)
 START_COLUMNS = 6
+# What is kept of an iteration: the pose after it (12), then these.
+HISTORY_SIGMA, HISTORY_ENERGY, HISTORY_MATCHED = 12, 13, 14
+HISTORY_COLUMNS = 15
 # What is known of where it ended.
-END_SIGMA, END_UNMATCHED, END_LIKELIHOOD = range(3)
-END_COLUMNS = 3
+END_SIGMA, END_UNMATCHED, END_LIKELIHOOD, END_ITERATIONS = range(4)
+END_COLUMNS = 4
 
 
 @njit(**FLAGS)
@@ -137,11 +140,11 @@ def _build(stamp):
     """The kernel that is called from Python; `stamp` keeps its cache fresh."""
 
     @njit(**KERNEL_FLAGS)
-    def search(poses, starts, source, target, planar, world, judge, bounds, tolerance, ends):
+    def search(poses, starts, source, target, planar, world, judged, bounds, tolerance, ends, history):
         """Run every start; `poses` (S, 12) move, `ends` tell σ, the unmatched share and the likelihood at a common scale.
 
-        world : density of a uniform mixture of all points.   judge : (σ, unmatched share) at which ends are compared.
-        bounds : (floor of σ, least, greatest unmatched share).
+        world : density of a uniform mixture of all points.   judged : unmatched share at which ends are compared, each at its own σ.
+        bounds : (floor of σ, least, greatest unmatched share).   history : (S, most iterations, HISTORY_COLUMNS).
         """
         _ = stamp
         floor, least, greatest = bounds
@@ -166,13 +169,19 @@ def _build(stamp):
                 pose32[:] = pose
                 uniform = world * unmatched / (1.0 - unmatched)
                 one_pass(pose32, np.float32(sigma), uniform, False, source, target, planar, work, total)
-            for _iteration in range(int(starts[s, ITERATIONS])):
+            ends[s, END_ITERATIONS] = starts[s, ITERATIONS]
+            for iteration in range(int(starts[s, ITERATIONS])):
                 pose32[:] = pose
                 uniform = world * unmatched / (1.0 - unmatched)
                 one_pass(pose32, np.float32(sigma), uniform, two_sided, source, target, planar, work, total)
                 solve(total, planar, delta)
                 move(delta, pose)
-                observed = sigma * total[TOTAL_ENERGY] / max(total[TOTAL_WEIGHT], 1e-300) / dimension
+                energy = total[TOTAL_ENERGY] / (LOG2_SCALE * max(total[TOTAL_WEIGHT], 1e-300))
+                history[s, iteration, :12] = pose
+                history[s, iteration, HISTORY_SIGMA] = sigma
+                history[s, iteration, HISTORY_ENERGY] = energy
+                history[s, iteration, HISTORY_MATCHED] = total[TOTAL_MATCHED]
+                observed = sigma * energy / dimension
                 new = max(starts[s, FASTEST] * sigma, starts[s, FOLLOW] * observed, floor)
                 unmatched = min(max(1.0 - total[TOTAL_MATCHED], least), greatest)
                 moved = 0.0
@@ -181,11 +190,11 @@ def _build(stamp):
                 still = moved < tolerance * tolerance and abs(new - sigma) < 0.01 * sigma
                 sigma = new
                 if still:
+                    ends[s, END_ITERATIONS] = iteration + 1
                     break
             pose32[:] = pose
-            uniform = world * judge[1] / (1.0 - judge[1])
-            final = judge[0] if judge[0] > 0.0 else sigma
-            one_pass(pose32, np.float32(final), uniform, False, source, target, planar, work, total)
+            uniform = world * judged / (1.0 - judged)
+            one_pass(pose32, np.float32(sigma), uniform, False, source, target, planar, work, total)
             ends[s, END_SIGMA] = sigma
             ends[s, END_UNMATCHED] = unmatched
             ends[s, END_LIKELIHOOD] = total[TOTAL_LIKELIHOOD]

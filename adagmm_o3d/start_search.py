@@ -1,0 +1,146 @@
+"""Many starts tried on coarse mixtures; the likelihood of both clouds decides which of them go on."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from .arguments import Array
+from .coarse import MergedMixture
+from .expectation import WORLD
+from .kernels import search as kernel
+from .kernels.compiling import LOG2_SCALE
+from .mixture import PACKED
+from .trace import Iteration
+
+# Ends are compared at this share of unmatched points, each at its own σ.
+JUDGED_UNMATCHED = 0.1
+SEARCH_UNMATCHED_RANGE = (0.05, 0.7)
+# A start is done when a step is shorter than this (‖δ‖, normalised).
+TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True)
+class Start:
+    """One start: a pose (4, 4), and how EM runs from it.
+
+    fastest : the share of itself to which σ may fall in an iteration.   follow : 1 keeps σ from falling below what the
+    residuals say, 0 lets it fall whatever they say.
+    """
+
+    pose: Array
+    sigma: float
+    unmatched: float
+    two_sided: bool
+    fastest: float
+    iterations: int
+    follow: float
+
+
+@dataclass(frozen=True)
+class End:
+    """Where a start has led: the pose, its σ and unmatched share, how well it explains both clouds, and the way there."""
+
+    pose: Array
+    sigma: float
+    unmatched: float
+    log_likelihood: float
+    start: Array
+    iterations: tuple[Iteration, ...]
+
+
+def run_starts(
+    source: MergedMixture,
+    target: MergedMixture,
+    starts: list[Start],
+    *,
+    floor: float,
+    level: int,
+) -> list[End]:
+    """Run EM from every start, σ never below `floor`; the ends, in the order of the starts."""
+    planar = source.dimension == 2
+    poses = np.array([s.pose[:3].ravel() for s in starts])
+    columns = np.array(
+        [[s.sigma, s.unmatched, s.two_sided, s.fastest, s.iterations, s.follow] for s in starts], np.float64
+    )
+    ends = np.empty((len(starts), kernel.END_COLUMNS))
+    history = np.empty((len(starts), max(s.iterations for s in starts), kernel.HISTORY_COLUMNS))
+    half = 0.5 * source.dimension
+    kernel.search(
+        poses,
+        columns,
+        _packed(source),
+        _packed(target),
+        planar,
+        (2.0 * math.pi * LOG2_SCALE) ** half / WORLD[source.dimension],
+        JUDGED_UNMATCHED,
+        (floor, *SEARCH_UNMATCHED_RANGE),
+        TOLERANCE,
+        ends,
+        history,
+    )
+    return [
+        End(
+            pose=_pose(poses[k]),
+            sigma=float(ends[k, kernel.END_SIGMA]),
+            unmatched=float(ends[k, kernel.END_UNMATCHED]),
+            log_likelihood=float(ends[k, kernel.END_LIKELIHOOD]),
+            start=starts[k].pose,
+            iterations=_iterations(history[k, : int(ends[k, kernel.END_ITERATIONS])], level),
+        )
+        for k in range(len(starts))
+    ]
+
+
+def _iterations(history: Array, level: int) -> tuple[Iteration, ...]:
+    return tuple(
+        Iteration(
+            _pose(row[:12]),
+            float(row[kernel.HISTORY_SIGMA]),
+            float(row[kernel.HISTORY_ENERGY]),
+            float(row[kernel.HISTORY_MATCHED]),
+            level,
+        )
+        for row in history
+    )
+
+
+def distinct(ends: list[End], count: int, distance: float) -> list[End]:
+    """The `count` likeliest ends whose poses differ by more than `distance`, see `pose_distance`."""
+    kept: list[End] = []
+    for end in sorted(ends, key=lambda end: -end.log_likelihood):
+        if len(kept) == count:
+            break
+        if all(pose_distance(end.pose, k.pose) > distance for k in kept):
+            kept.append(end)
+    return kept
+
+
+def pose_distance(a: Array, b: Array) -> float:
+    """‖R_a − R_b‖_F + ‖t_a − t_b‖ of two (4, 4) poses between normalised clouds."""
+    return float(np.linalg.norm(a[:3, :3] - b[:3, :3]) + np.linalg.norm(a[:3, 3] - b[:3, 3]))
+
+
+def _packed(mixture: MergedMixture) -> tuple[Array, ...]:
+    """Points, covariances, spreads and weights as the kernel wants them, in powers of two."""
+
+    def symmetric(matrices: Array) -> Array:
+        packed = np.stack([matrices[:, i, j] for i, j in PACKED]).astype(np.float32) / np.float32(LOG2_SCALE)
+        if mixture.dimension == 2:
+            packed[5] = 0.0
+        return packed
+
+    return (
+        np.ascontiguousarray(mixture.points.T, np.float32),
+        symmetric(mixture.covariances),
+        symmetric(mixture.spreads),
+        mixture.weights.astype(np.float32),
+    )
+
+
+def _pose(rows: Array) -> Array:
+    pose = np.eye(4)
+    pose[:3] = rows.reshape(3, 4)
+    return pose

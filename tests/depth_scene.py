@@ -1,10 +1,10 @@
 """A small room seen by a perfect depth camera, and folders of it in every recording format the app reads."""
 
-import shutil
 from pathlib import Path
 
 import cv2
 import numpy as np
+import scipy.io
 from scipy.spatial.transform import Rotation
 
 from adagmm_fusion.frames import PinholeIntrinsics
@@ -124,9 +124,31 @@ def write_pose_file(folder: Path, poses, intrinsics):
     (folder / "all_frame_names.txt").write_text("\n".join(names) + "\n")
 
 
-def fresh(folder: Path) -> Path:
-    """The folder, empty."""
-    if folder.exists():
-        shutil.rmtree(folder)
-    folder.mkdir(parents=True)
-    return folder
+def write_apc(folder: Path, poses, intrinsics):
+    text = '# Environment: shelf\n# Objects: ["ball"]\n\n# Color camera intrinsic matrix\n'
+    text += "".join("\t".join(f"{x: .8e}" for x in row) + "\n" for row in intrinsics.matrix())
+    for i, pose in enumerate(poses):
+        name = f"frame-{i:06d}"
+        color, depth = (folder / f"{name}.{kind}.png" for kind in ("color", "depth"))
+        write_images(color, depth, intrinsics, pose, 10000)
+        stored = cv2.imread(str(depth), cv2.IMREAD_UNCHANGED).astype(np.uint32)
+        assert cv2.imwrite(str(depth), ((stored << 3 | stored >> 13) & 0xFFFF).astype(np.uint16))
+        text += f"\n# Camera-to-world extrinsic matrix (camera pose) for {name}\n"
+        text += "".join("\t".join(f"{x: .8e}" for x in row) + "\n" for row in pose)
+    (folder / "cam.info.txt").write_text(text)
+
+
+def write_xtion(folder: Path, poses, color_intrinsics, depth_intrinsics, T_color_depth, *, moments=(2, 11)):
+    """Two colour cameras at `poses` with the depth camera beside each, `T_color_depth` away."""
+    for moment in moments:
+        for sensor, pose in enumerate(poses, 1):
+            color, _ = render(color_intrinsics, pose)
+            _, depth = render(depth_intrinsics, pose @ T_color_depth)
+            stored = np.rint(depth * 1000).astype(np.uint16)
+            (folder / "images").mkdir(parents=True, exist_ok=True)
+            assert cv2.imwrite(str(folder / f"images/rgb_image{sensor}_{moment}.png"), color[:, :, ::-1])
+            scipy.io.savemat(folder / f"images/depth{sensor}_{moment}.mat", {"depth_array": stored})
+    calibration = {"Kdepth": depth_intrinsics.matrix(), "Krgb": color_intrinsics.matrix()}
+    calibration |= {"R": T_color_depth[:3, :3], "T": T_color_depth[:3, 3]}
+    scipy.io.savemat(folder / "cameraparametersAsus.mat", {"cam_params": calibration})
+    np.savetxt(folder / "images/T_cam1_to_cam2_reference.txt", np.linalg.inv(poses[1]) @ poses[0])

@@ -8,6 +8,7 @@ import pytest
 from depth_scene import (
     camera_pose,
     render,
+    write_apc,
     write_images,
     write_pose_file,
     write_redwood,
@@ -31,6 +32,7 @@ FORMATS = {
     "redwood": (write_redwood, SMALL, 1000, ["00000", "00001", "00002"]),
     "7scenes": (write_seven_scenes, VGA, 1000, ["frame-000000", "frame-000001", "frame-000002"]),
     "posefile": (write_pose_file, SMALL, 1000, ["00000", "00007", "00014"]),
+    "apc": (write_apc, SMALL, 10000, ["frame-000000", "frame-000001", "frame-000002"]),
 }
 
 
@@ -321,3 +323,37 @@ def test_pose_file_pairs_and_trimmed_copies(pose_file):
 def test_pose_file_mistakes(pose_file, file, content, match):
     (pose_file / file).write_text(content)
     refused(pose_file, match)
+
+
+@pytest.fixture
+def apc(tmp_path):
+    write_apc(tmp_path, POSES[:2], PinholeIntrinsics(32, 24, 30.0, 30.0, 16.0, 12.0))
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "old, new, match",
+    [
+        (
+            "# Color camera intrinsic",
+            "# Colour camera intrinsic",
+            "the heading '# Color camera intrinsic matrix' is missing",
+        ),
+        (" 0.00000000e+00\t 3.00000000e+01", " 3.00000000e+01", r"cam\.info\.txt:6: expected 3 numbers, got 2"),
+        (
+            "\n# Camera-to-world extrinsic matrix (camera pose) for frame-000001",
+            "",
+            r"cam\.info\.txt:10: expected 4 rows",
+        ),
+        (" 0.00000000e+00\t 0.00000000e+00\t 0.00000000e+00\t 1.0", " 1\t 0\t 0\t 1.0", r"cam\.info\.txt:10: pose: "),
+    ],
+)
+def test_apc_mistakes(apc, old, new, match):
+    edited(apc / "cam.info.txt", old, new)
+    refused(apc, match)
+
+
+def test_apc_frame_without_a_pose_has_no_truth(apc):
+    edited(apc / "cam.info.txt", "for frame-000001", "for frame-000007")
+    frames = open_recording(apc).frames()
+    assert frames.pose(0) is not None and frames.pose(1) is None

@@ -288,7 +288,7 @@ def test_what_is_no_recording(tmp_path):
     with pytest.raises(RecordingError, match=r"not a recording of a known format \(adagmm: .*posefile: "):
         open_recording(tmp_path)
     (tmp_path / "file").write_text("")
-    with pytest.raises(RecordingError, match="expected a recording's folder, got a file"):
+    with pytest.raises(RecordingError, match="file: not a recording of a known format"):
         open_recording(tmp_path / "file")
 
 

@@ -13,12 +13,12 @@ __all__ = ["FORMATS", "FrameEntry", "FrameSequence", "PairEntry", "Recording", "
 
 
 def open_recording(path, *, format: str | None = None, rig: Rig | str | Path | None = None, step: int = 1) -> Recording:
-    """Open a recording's folder. Nothing but its lists, poses and calibration is read now; images are read when asked
+    """Open a recording. Nothing but its lists, poses and calibration is read now; images are read when asked
     for.
 
     Parameters
     ----------
-    path : the recording's folder.
+    path : the recording's folder, or a video file.
     format : a name in FORMATS; None looks at what is there.
     rig : a Rig or a rig file that replaces the recording's own intrinsics, depth scales and (our layout) sensor poses.
     step : distance in frames of the two frames of a pair, for one moving sensor whose recording does not list its
@@ -28,25 +28,23 @@ def open_recording(path, *, format: str | None = None, rig: Rig | str | Path | N
     ------
     RecordingError, RigError  naming the file, the line where there is one, what was wanted and what is there.
     """
-    folder = Path(path)
-    if not folder.exists():
-        raise RecordingError(f"{folder}: there is no such recording")
-    if not folder.is_dir():
-        raise RecordingError(f"{folder}: expected a recording's folder, got a file")
+    path = Path(path)
+    if not path.exists():
+        raise RecordingError(f"{path}: there is no such recording")
     if isinstance(step, bool) or not isinstance(step, int) or step < 1:
         raise InputError(f"step: expected a positive number of frames, got {step!r}")
     if rig is not None and not isinstance(rig, Rig):
         rig = load_rig(rig)
     if format is not None and format not in FORMATS:
         raise InputError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")
-    return FORMATS[format or _detect(folder)].read(folder, ReadOptions(rig, step))
+    return FORMATS[format or _detect(path)].read(path, ReadOptions(rig, step))
 
 
-def _detect(folder: Path) -> str:
-    found = [name for name, module in FORMATS.items() if module.matches(folder)]
+def _detect(path: Path) -> str:
+    found = [name for name, module in FORMATS.items() if module.matches(path)]
     if len(found) == 1:
         return found[0]
     if found:
-        raise RecordingError(f"{folder}: could be {' or '.join(found)}; say which with format")
+        raise RecordingError(f"{path}: could be {' or '.join(found)}; say which with format")
     known = "; ".join(f"{name}: {module.SUMMARY}" for name, module in FORMATS.items())
-    raise RecordingError(f"{folder}: not a recording of a known format ({known})")
+    raise RecordingError(f"{path}: not a recording of a known format ({known})")

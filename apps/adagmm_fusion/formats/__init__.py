@@ -1,10 +1,10 @@
 """The recording formats, one file each.
 
-A format is a module with `NAME` (what --format takes), `SUMMARY` (one line), `matches(folder) -> bool` (cheap, looks
-at names only) and `read(folder, options) -> Recording` (strict; images are loaded later). It is listed in FORMATS, and
+A format is a module with `NAME` (what --format takes), `SUMMARY` (one line), `matches(path) -> bool` (cheap, looks
+at names only) and `read(path, options) -> Recording` (strict; images are loaded later). It is listed in FORMATS, and
 that is all.
 """
 
-from adagmm_fusion.formats import own, pose_file, redwood, seven_scenes, tum
+from adagmm_fusion.formats import apc, own, pose_file, redwood, seven_scenes, tum, video, xtion
 
-FORMATS = {module.NAME: module for module in (own, tum, redwood, seven_scenes, pose_file)}
+FORMATS = {module.NAME: module for module in (own, tum, redwood, seven_scenes, pose_file, apc, xtion, video)}

@@ -43,6 +43,10 @@ class ReadOptions:
             )
         return intrinsics, depth_scale
 
+    def sensor_pose(self, sensor: str) -> np.ndarray | None:
+        """The rig's T_rig_sensor (4, 4), or None without a rig or where it is unknown. Raises RigError as above."""
+        return None if self.rig is None else self.rig.sensor(sensor).T_rig_sensor
+
 
 def intrinsics_from_matrix(K, size: tuple[int, int], path: Path) -> PinholeIntrinsics:
     """Intrinsics from a 3x3 camera matrix without skew, for images of `size` (width, height)."""

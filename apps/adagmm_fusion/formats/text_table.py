@@ -10,8 +10,8 @@ from adagmm_fusion.frames import checked_rigid_transformation
 from adagmm_o3d.errors import InputError
 
 
-def read_rows(path: Path) -> Iterator[tuple[str, list[str]]]:
-    """("file:line", the words) of each line that has any."""
+def read_lines(path: Path) -> Iterator[tuple[str, str]]:
+    """("file:line", the line) of each line that is not blank, comments included."""
     try:
         text = path.read_bytes().decode("utf-8")
     except OSError as problem:
@@ -19,9 +19,16 @@ def read_rows(path: Path) -> Iterator[tuple[str, list[str]]]:
     except UnicodeDecodeError as problem:
         raise RecordingError(f"{path}: expected text, got a binary file") from problem
     for number, line in enumerate(text.splitlines(), 1):
+        if line.strip():
+            yield f"{path}:{number}", line.strip()
+
+
+def read_rows(path: Path) -> Iterator[tuple[str, list[str]]]:
+    """("file:line", the words) of each line that has any."""
+    for where, line in read_lines(path):
         words = line.split("#", 1)[0].split()
         if words:
-            yield f"{path}:{number}", words
+            yield where, words
 
 
 def parse_numbers(words: list[str], count: int, where: str) -> list[float]:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from adagmm_bench.commands import kinect, methods_list, recordings, simulations
+from adagmm_bench.commands import kinect, methods_list, recordings, replay, simulations
 from adagmm_o3d.errors import AdaGMMError
 
 INTERRUPTED = 130
@@ -38,6 +39,7 @@ def build_parser() -> argparse.ArgumentParser:
         recordings.add_arguments,
         recordings.run,
     )
+    add("replay", "one trial again, alone, printed and shown in Rerun", replay.add_arguments, replay.run)
     add("methods", "the methods, their settings, and which can run here", methods_list.add_arguments, methods_list.run)
     return parser
 
@@ -49,6 +51,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return parsed.run(parsed)
     except AdaGMMError as error:
         print(f"adagmm-bench: {' '.join(str(error).split())}", file=sys.stderr)
+        return 1
+    except BrokenPipeError:  # the reader of our output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except KeyboardInterrupt:
         print("adagmm-bench: stopped; the same command goes on from here", file=sys.stderr)

@@ -33,6 +33,10 @@ class SchedulerError(AdaGMMError, RuntimeError):
     """The Dask scheduler cannot be reached, or was lost while it held unfinished tasks."""
 
 
+class WorkerError(AdaGMMError, RuntimeError):
+    """Local workers end before they take a task; what they wrote on stderr says why."""
+
+
 @dataclass(frozen=True)
 class TaskFailure:
     """Why a task has no result, in one line."""
@@ -56,6 +60,7 @@ def run_tasks(
     ------
     InputError      if `workers` is not positive, or dask.distributed is not installed.
     SchedulerError  if the scheduler cannot be reached, or is lost before the end.
+    WorkerError     if local workers cannot start.
     """
     if workers is not None and workers < 1:
         raise InputError(f"workers: expected 1 or more, got {workers}")
@@ -70,6 +75,7 @@ class _Worker:
     process: multiprocessing.process.BaseProcess
     connection: Connection
     key: str | None = None
+    started: bool = False
 
 
 def _run_locally(function: Callable, tasks: Mapping[str, Any], count: int) -> Iterator[tuple[str, Any]]:
@@ -77,35 +83,55 @@ def _run_locally(function: Callable, tasks: Mapping[str, Any], count: int) -> It
     crew: list[_Worker] = []
     try:
         while waiting or any(worker.key is not None for worker in crew):
-            while waiting and len(crew) < count:
+            while len(crew) < min(count, len(waiting) + sum(worker.key is not None for worker in crew)):
                 crew.append(_start_worker(function))
             for worker in crew:
-                if worker.key is None and waiting:
+                if worker.started and worker.key is None and waiting:
                     worker.key = waiting.popleft()
-                    _send(worker, tasks[worker.key])
-            busy = {worker.connection: worker for worker in crew if worker.key is not None}
-            for connection in wait(list(busy)):
-                worker = busy[connection]
-                key = worker.key
+                    with suppress(OSError):  # it may have died; the read that follows says so
+                        worker.connection.send(tasks[worker.key])
+            talking = {w.connection: w for w in crew if w.key is not None or not w.started}
+            for connection in wait(list(talking)):
+                worker = talking[connection]
                 try:
-                    result = connection.recv()
+                    message = connection.recv()
                 except (EOFError, OSError):
-                    worker.process.join()
                     crew.remove(worker)
-                    deaths[key] += 1
-                    if deaths[key] < MAX_DEATHS:
-                        waiting.append(key)
-                        continue
-                    result = TaskFailure(f"its worker died {MAX_DEATHS} times, exit code {worker.process.exitcode}")
-                worker.key = None
-                yield key, result
+                    failure = _bury(worker, deaths)
+                    if failure is not None:
+                        yield worker.key, failure
+                    else:
+                        waiting.append(worker.key)
+                    continue
+                if not worker.started:
+                    worker.started = True
+                    continue
+                key, worker.key = worker.key, None
+                yield key, message
     finally:
         for worker in crew:
             worker.connection.close()  # an idle worker ends by itself
-            if worker.key is not None:
+            if worker.key is not None or not worker.started:
                 worker.process.kill()
         for worker in crew:
             worker.process.join()
+
+
+def _bury(worker: _Worker, deaths: Counter) -> TaskFailure | None:
+    """After a worker's death: None if its task is to be tried again, a failure if it has been tried enough.
+
+    Raises
+    ------
+    WorkerError  if the worker died before it was ready.
+    """
+    worker.process.join()
+    worker.connection.close()
+    if not worker.started:
+        raise WorkerError(f"workers: one ended while it started, exit code {worker.process.exitcode}; see above")
+    deaths[worker.key] += 1
+    if deaths[worker.key] < MAX_DEATHS:
+        return None
+    return TaskFailure(f"its worker died {MAX_DEATHS} times, exit code {worker.process.exitcode}")
 
 
 def _start_worker(function: Callable) -> _Worker:
@@ -118,14 +144,10 @@ def _start_worker(function: Callable) -> _Worker:
     return _Worker(process, ours)
 
 
-def _send(worker: _Worker, message: Any) -> None:
-    with suppress(OSError):  # it may have died; the read that follows says so
-        worker.connection.send(message)
-
-
 def _serve(connection: Connection, function: Callable) -> None:
-    """A worker's life: a task in, a result out, until the pipe closes."""
+    """A worker's life: ready, then a task in, a result out, until the pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business
+    connection.send("ready")
     while True:
         try:
             task = connection.recv()
@@ -135,7 +157,8 @@ def _serve(connection: Connection, function: Callable) -> None:
             result = function(task)
         except Exception as error:
             result = _failure(error)
-        connection.send(result)
+        with suppress(BrokenPipeError):  # the parent has gone; the next read says so
+            connection.send(result)
 
 
 @contextmanager
@@ -165,7 +188,7 @@ def _run_on_cluster(function: Callable, tasks: Mapping[str, Any], address: str) 
     with client:
         run = uuid.uuid4().hex  # a cluster keeps results by key: two runs must not share them
         futures = {client.submit(function, task, key=f"{key}-{run}", pure=False): key for key, task in tasks.items()}
-        for future in as_completed(list(futures)):
+        for future in as_completed(list(futures), loop=client.loop):
             key = futures.pop(future)
             if future.status == "finished":
                 yield key, future.result()

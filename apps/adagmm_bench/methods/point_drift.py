@@ -66,11 +66,11 @@ def cycpd_rigid(source: Cloud, target: Cloud) -> np.ndarray:
 
 @method("probreg-cpd", library="probreg", dimensions=(3,), default=False)
 def probreg_cpd(source: Cloud, target: Cloud) -> np.ndarray:
-    """probreg rigid coherent point drift without scale. Outlier weight 0.7, at most 100 iterations, tolerance 1e-3."""
+    """probreg rigid coherent point drift without scale. Outlier weight 0.7, at most 100 iterations, tolerance 1e-6."""
     from probreg import cpd
 
     found = cpd.registration_cpd(
-        source.points, target.points, w=OUTLIER_WEIGHT, maxiter=ITERATIONS, tol=1e-3, update_scale=False
+        source.points, target.points, w=OUTLIER_WEIGHT, maxiter=ITERATIONS, tol=1e-6, update_scale=False
     ).transformation
     return rigid(found.rot, found.t)
 
@@ -91,17 +91,3 @@ def probreg_filterreg(source: Cloud, target: Cloud) -> np.ndarray:
         tf_init_params={"rot": np.eye(D), "t": np.zeros(D)},
     ).transformation
     return rigid(found.rot, found.t)
-
-
-@method("probreg-bcpd", library="probreg", dimensions=(2,), default=False)
-def probreg_bcpd(source: Cloud, target: Cloud) -> np.ndarray:
-    """probreg Bayesian coherent point drift, its rigid part, lambda 50 for a stiff shape. Outlier weight 0.7, at most
-    100 iterations. 2D only: this implementation's arrays grow with (D M) (D N), 200 MB at 1500 points in 3D. It fails
-    to invert or to converge on a fifth of the 2D trials at any setting tried, so it says little about the method.
-    """
-    from probreg import bcpd
-
-    found = bcpd.registration_bcpd(
-        source.points, target.points, w=OUTLIER_WEIGHT, maxiter=ITERATIONS, tol=1e-5, lmd=50.0
-    ).rigid_trans
-    return rigid(found.rot, found.t, float(found.scale), source.points.mean(axis=0))

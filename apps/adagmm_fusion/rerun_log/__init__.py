@@ -16,7 +16,8 @@ and for a script, which gets before, after, every iteration and the curves:
 
 from adagmm_fusion.rerun_log.blueprint import dashboard, script_dashboard, send_blueprint
 from adagmm_fusion.rerun_log.iterations import log_estimate_iterations
-from adagmm_fusion.rerun_log.pair import log_pair
+from adagmm_fusion.rerun_log.pair import log_pair, log_refused_pair
+from adagmm_fusion.rerun_log.properties import log_recording_properties
 from adagmm_fusion.rerun_log.registration_logger import RegistrationLogger
 from adagmm_fusion.rerun_log.streams import add_rerun_arguments, open_stream
 from adagmm_fusion.rerun_log.summary import SummaryRow, log_recording_summary
@@ -34,7 +35,9 @@ __all__ = [
     "dashboard",
     "log_estimate_iterations",
     "log_pair",
+    "log_recording_properties",
     "log_recording_summary",
+    "log_refused_pair",
     "open_stream",
     "script_dashboard",
     "send_blueprint",

@@ -8,7 +8,6 @@ from adagmm_fusion.rerun_log.colors import DIFFERENCE_COLOR, UNOBSERVABLE_COLOR
 from adagmm_fusion.rerun_log.iterations import pose_errors
 from adagmm_fusion.rerun_log.when import When
 
-ARROW_LENGTH = 0.5
 ARROW_RADIUS = 0.012
 
 
@@ -29,25 +28,28 @@ def log_difference(rec, T_estimate: np.ndarray, T_truth: np.ndarray | None, when
     when.log(rec, entities.DIFFERENCE, arrow)
 
 
-def log_unobservable(rec, unobservable, points: np.ndarray, when: When) -> None:
+def log_unobservable(rec, unobservable, source: np.ndarray, target: np.ndarray, when: When) -> None:
     """An arrow for each direction that the clouds leave free: along it the source slides, or about it it turns.
 
-    unobservable : unit tangents (ω, v) (6,) of δ in exp(δ)·T, in the target's frame, ω scaled by the clouds' radius.
-    points : (M, 3) [m], the source at the estimate, for the place where the arrow starts.
+    unobservable : unit tangents (ω, v) (6,), target's axes, about its centroid, in units of the clouds' RMS radius.
+    source, target : (M, 3), (N, 3) [m], in the target's frame, the source at the estimate.
     """
     if len(unobservable) == 0:
         when.clear(rec, entities.UNOBSERVABLE)
         return
-    center = points.mean(axis=0)
-    vectors, labels = [], []
+    radius = max(np.sqrt(((p - p.mean(axis=0)) ** 2).sum(axis=1).mean()) for p in (source, target))
+    origins, vectors, labels = [], [], []
     for tangent in unobservable:
         turn, slide = np.asarray(tangent[:3]), np.asarray(tangent[3:])
         turns = np.linalg.norm(turn) > np.linalg.norm(slide)
         direction = turn if turns else slide
-        vectors.append(ARROW_LENGTH * direction / np.linalg.norm(direction))
+        vectors.append(radius * direction / np.linalg.norm(direction))
+        # A turn about an axis elsewhere is a turn about the centroid and a slide.
+        off_axis = radius * np.cross(turn, slide) / (turn @ turn) if turns else 0.0
+        origins.append(target.mean(axis=0) + off_axis)
         labels.append("free: turns about this axis" if turns else "free: slides this way")
     arrows = rr.Arrows3D(
-        origins=np.tile(center, (len(vectors), 1)),
+        origins=np.array(origins),
         vectors=np.array(vectors),
         radii=ARROW_RADIUS,
         colors=UNOBSERVABLE_COLOR,

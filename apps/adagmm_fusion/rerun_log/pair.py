@@ -86,13 +86,30 @@ def log_pair(
     _log_clouds(rec, source_cloud, target_cloud, estimate, diagnostics, when)
     log_difference(rec, T_estimate, T_truth, when)
     moved = np.asarray(source_cloud.points) @ T_estimate[:3, :3].T + T_estimate[:3, 3]
-    log_unobservable(rec, () if estimate is None else estimate.unobservable, moved, when)
+    unobservable = () if estimate is None else estimate.unobservable
+    log_unobservable(rec, unobservable, moved, np.asarray(target_cloud.points), when)
     log_overlay(rec, pair.source, pair.target, T_estimate, when)
     if report is None:
         report = pair_report(pair.name, estimate, T_truth, limits, status=status, reason=reason, seconds=seconds)
     when.log(rec, entities.REPORT, rr.TextDocument(report, media_type=rr.MediaType.MARKDOWN))
     log_messages(rec, pair.name, estimate, reason, when)
     return em_step + rows
+
+
+def log_refused_pair(
+    rec: rr.RecordingStream, name: str, reason: str, *, frame_index: int | None = None, em_step: int = 0
+) -> int:
+    """Log a pair of which there are no clouds: its report says why, and nothing of the pair before is left to see.
+
+    Returns the `em_step` at which the next pair starts.
+    """
+    when = When(frame_index, em_step)
+    when.clear(rec, entities.WORLD)
+    when.clear(rec, entities.DIAGNOSTICS)
+    report = pair_report(name, None, None, status="failed", reason=reason)
+    when.log(rec, entities.REPORT, rr.TextDocument(report, media_type=rr.MediaType.MARKDOWN))
+    log_messages(rec, name, None, reason, when)
+    return em_step + 1
 
 
 def _log_sensors(rec, pair: RGBDPair, T_initial: np.ndarray, when: When) -> None:

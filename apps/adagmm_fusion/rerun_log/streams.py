@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -85,15 +86,21 @@ def _serve_on_loopback(port: int | None) -> Iterator[tuple[str, subprocess.Popen
     web_port = _free_port()
     command = [sys.executable, "-m", "rerun_cli", "--serve-web", "--bind", LOOPBACK, "--port", str(grpc_port)]
     command += ["--web-viewer-port", str(web_port)]
+    terminate = signal.signal(signal.SIGTERM, _exit)  # so that the server does not outlive us
     server = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
     try:
         _wait_for_port(grpc_port, server)
         _wait_for_port(web_port, server)
         url = f"rerun+http://{LOOPBACK}:{grpc_port}/proxy"
-        print(f"viewer: http://{LOOPBACK}:{web_port}/?url={url.replace('+', '%2B')}", flush=True)
+        print(f"viewer: http://{LOOPBACK}:{web_port}/?url={url.replace('+', '%2B')} (Ctrl-C ends it)", flush=True)
         yield url, server
     finally:
         _stop(server)
+        signal.signal(signal.SIGTERM, terminate)
+
+
+def _exit(signal_number, _frame) -> None:
+    sys.exit(128 + signal_number)
 
 
 def _free_port() -> int:
@@ -119,8 +126,8 @@ def _wait_for_interrupt(server: subprocess.Popen) -> None:
 def _stop(server: subprocess.Popen) -> None:
     """`rerun` is a shim that starts the real program: end the process group, not only the shim."""
     with contextlib.suppress(ProcessLookupError):
-        os.killpg(server.pid, 15)
+        os.killpg(server.pid, signal.SIGTERM)
     with contextlib.suppress(subprocess.TimeoutExpired):
         server.wait(timeout=5.0)
     with contextlib.suppress(ProcessLookupError):
-        os.killpg(server.pid, 9)
+        os.killpg(server.pid, signal.SIGKILL)

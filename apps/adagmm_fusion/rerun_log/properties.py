@@ -1,0 +1,26 @@
+"""What a recording is of, and how it was made: shown by the viewer beside its name."""
+
+from collections.abc import Mapping, Sequence
+from importlib import metadata
+
+import rerun as rr
+
+PACKAGES = ("adagmm-o3d", "open3d", "numpy", "numba", "rerun-sdk")
+
+
+def log_recording_properties(
+    rec: rr.RecordingStream,
+    *,
+    recording: str,
+    sensors: Sequence[str],
+    calibration: str | None = None,
+    parameters: Mapping[str, object] | None = None,
+) -> None:
+    """Log where the data came from, the parameters of the run and the versions of what computed it."""
+    rec.send_property(
+        "input", rr.AnyValues(recording=recording, sensors=list(sensors), calibration=calibration or "none")
+    )
+    if parameters:
+        rec.send_property("parameters", rr.AnyValues(**{name: str(value) for name, value in parameters.items()}))
+    versions = {package.replace("-", "_"): metadata.version(package) for package in PACKAGES}
+    rec.send_property("versions", rr.AnyValues(**versions))

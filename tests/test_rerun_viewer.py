@@ -1,0 +1,148 @@
+"""What the real viewer shows, without a display: poses as it resolved them, no complaints, pictures that differ."""
+
+import argparse
+
+import numpy as np
+import pytest
+from registered_scene import ITERATIONS, known_estimate, room_clouds, room_pair
+from viewer import complaints, headless_viewer, needs_viewer, screenshot
+
+from adagmm_fusion.rerun_log import (
+    Eye,
+    SummaryRow,
+    add_rerun_arguments,
+    dashboard,
+    log_pair,
+    log_recording_summary,
+    log_refused_pair,
+    open_stream,
+)
+
+pytestmark = needs_viewer
+RESULT = "Result: cameras truth green, estimate orange, start blue"
+BEFORE, AFTER = "Before: target blue, source orange", "After"
+
+
+def save(path, log, **blueprint):
+    parser = argparse.ArgumentParser()
+    add_rerun_arguments(parser)
+    eye = Eye.behind(np.asarray(room_clouds()[1].points))
+    with open_stream(parser.parse_args(["--save", str(path)]), "room", dashboard(eye=eye, **blueprint)) as rec:
+        log(rec)
+    return path
+
+
+def resolved_pose(viewer, entity: str) -> np.ndarray:
+    edges = viewer.get_transform_graph(include_transforms=True)["edges"]
+    (edge,) = [e for e in edges if e["child"] == f"tf#/{entity}"]
+    return np.array(edge["source"]["parent_from_child"])
+
+
+def difference(a: np.ndarray, b: np.ndarray) -> float:
+    """Share of pixels that are not nearly the same; views side by side may differ in size by a pixel."""
+    height, width = (min(x, y) for x, y in zip(a.shape[:2], b.shape[:2], strict=True))
+    a, b = a[:height, :width], b[:height, :width]
+    return float(np.mean(np.abs(a.astype(int) - b.astype(int)).max(axis=2) > 30))
+
+
+def colorfulness(picture: np.ndarray) -> int:
+    """How many clearly different saturated colours cover more than a few pixels."""
+    saturated = picture[np.ptp(picture, axis=2) > 60] // 64
+    _, counts = np.unique(saturated, axis=0, return_counts=True)
+    return int(np.sum(counts > 20))
+
+
+@pytest.fixture(scope="module")
+def pair_viewer(tmp_path_factory):
+    path = tmp_path_factory.mktemp("viewer") / "pair.rrd"
+    free = (np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0]), np.array([0.8, 0.0, 0.0, 0.0, 0.6, 0.0]))
+    save(path, lambda rec: log_pair(rec, room_pair(), *room_clouds(), known_estimate(unobservable=free)))
+    with headless_viewer(path) as viewer:
+        yield viewer
+
+
+def test_opens_on_the_last_iteration_without_a_complaint(pair_viewer):
+    screenshot(pair_viewer)
+    (recording,) = pair_viewer.get_state().recordings
+    assert (recording.current_timeline, recording.current_time) == ("iteration", ITERATIONS)
+    assert complaints(pair_viewer) == []
+
+
+@pytest.mark.parametrize("iteration", [0, ITERATIONS // 2, ITERATIONS])
+def test_poses_are_the_estimates(pair_viewer, iteration):
+    pair_viewer.set_time("iteration", sequence=iteration, play_state="paused")
+    expected = known_estimate().transformations[iteration]
+    np.testing.assert_allclose(resolved_pose(pair_viewer, "world/source"), expected, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(resolved_pose(pair_viewer, "world/target"), np.eye(4), rtol=0, atol=1e-9)
+    truth = room_pair().T_target_source
+    np.testing.assert_allclose(resolved_pose(pair_viewer, "world/truth/source"), truth, rtol=1e-5, atol=1e-6)
+
+
+def test_scrubbing_moves_the_source_and_before_stays(pair_viewer):
+    pair_viewer.set_time("iteration", sequence=0, play_state="paused")
+    before, after_0 = screenshot(pair_viewer, BEFORE), screenshot(pair_viewer, AFTER)
+    pair_viewer.set_time("iteration", sequence=ITERATIONS, play_state="paused")
+    after = screenshot(pair_viewer, AFTER)
+    moved = difference(after_0, after)
+    assert moved > 0.1 and difference(before, after) > 0.1
+    assert difference(before, screenshot(pair_viewer, BEFORE)) < 0.005
+    assert difference(before, after_0) < 0.5 * moved  # the same scene, but the edges of its points fall elsewhere
+    assert complaints(pair_viewer) == []
+
+
+def test_texture_is_visible_and_the_clouds_have_their_two_colors(pair_viewer):
+    pair_viewer.set_time("iteration", sequence=ITERATIONS, play_state="paused")
+    assert colorfulness(screenshot(pair_viewer, RESULT)) >= 30
+    after = screenshot(pair_viewer, AFTER).astype(int)
+    red, green, blue = np.moveaxis(after, 2, 0)
+    assert np.mean((red > blue + 60) & (red > green + 20)) > 0.02  # orange
+    assert np.mean((blue > red + 60) & (blue > green + 20)) > 0.02  # blue
+
+
+def test_why_page(tmp_path):
+    path = tmp_path / "why.rrd"
+    estimate = known_estimate(off=(0.3, 0.0, 0.0))
+    save(path, lambda rec: log_pair(rec, room_pair(), *room_clouds(), estimate), page="Why")
+    with headless_viewer(path) as viewer:
+        screenshot(viewer)
+        weights = screenshot(viewer, "Who pulls: share of the pair weights")
+        residuals = screenshot(viewer, "How far off: residual")
+        overlap = screenshot(viewer, "Who has a partner")
+        assert complaints(viewer) == []
+    for a, b in ((weights, residuals), (residuals, overlap), (weights, overlap)):
+        assert difference(a, b) > 0.02
+
+
+def test_many_pairs(tmp_path):
+    def log(rec):
+        em_step = 0
+        for frame in (0, 1):
+            estimate = known_estimate(frame, off=(0.5 * frame, 0.0, 0.0))
+            em_step = log_pair(rec, room_pair(frame), *room_clouds(frame), estimate, frame_index=frame, em_step=em_step)
+        log_refused_pair(rec, "pair_2", "no depth", frame_index=2, em_step=em_step)
+        log_recording_summary(
+            rec, [SummaryRow(0, "pair_0", "ok", 0.1, 1.0), SummaryRow(1, "pair_1", "failed", 0.1, 500.0)]
+        )
+
+    path = save(tmp_path / "many.rrd", log, many_pairs=True)
+    with headless_viewer(path) as viewer:
+        screenshot(viewer)
+        (recording,) = viewer.get_state().recordings
+        assert recording.current_timeline == "frame"
+        assert complaints(viewer) == []
+    path = save(tmp_path / "pairs.rrd", log, many_pairs=True, page="Pair")
+    with headless_viewer(path) as viewer:
+        pictures = []
+        for frame in (0, 1, 2):
+            viewer.set_time("frame", sequence=frame, play_state="paused")
+            pictures.append(screenshot(viewer, AFTER))
+            if frame < 2:
+                expected = known_estimate(frame, off=(0.5 * frame, 0.0, 0.0)).transformation
+                np.testing.assert_allclose(resolved_pose(viewer, "world/source"), expected, rtol=1e-5, atol=1e-6)
+        viewer.set_time("em_step", sequence=ITERATIONS + 1 + 3, play_state="paused")
+        screenshot(viewer, AFTER)  # only a painted frame knows the transforms of a timeline that is new to the viewer
+        expected = known_estimate(1, off=(0.5, 0.0, 0.0)).transformations[3]
+        np.testing.assert_allclose(resolved_pose(viewer, "world/source"), expected, rtol=1e-5, atol=1e-6)
+        assert complaints(viewer) == []
+    assert difference(pictures[0], pictures[1]) > 0.05
+    assert np.mean(np.ptp(pictures[2], axis=2) > 60) < 0.002  # nothing of the pair before is left

@@ -61,13 +61,12 @@ def depth_in_range(frame: RGBDFrame, min_depth: float, max_depth: float) -> np.n
 def depth_edges(depth_m: np.ndarray, intrinsics: PinholeIntrinsics) -> np.ndarray:
     """(H, W) bool: pixels with a depth jump to one of their four neighbours, where sensors report points in mid-air."""
     edges = np.zeros(depth_m.shape, dtype=bool)
-    for axis, focal_length in ((0, intrinsics.fy), (1, intrinsics.fx)):
-        near, far = [slice(None)] * 2, [slice(None)] * 2
-        near[axis], far[axis] = slice(None, -1), slice(1, None)
-        near, far = tuple(near), tuple(far)
-        jump = depth_jumps(depth_m[near], depth_m[far], focal_length, EDGE_ANGLE_DEG)
-        edges[near] |= jump
-        edges[far] |= jump
+    down = np.s_[:-1, :], np.s_[1:, :], intrinsics.fy
+    right = np.s_[:, :-1], np.s_[:, 1:], intrinsics.fx
+    for here, there, focal_length in (down, right):
+        jump = depth_jumps(depth_m[here], depth_m[there], focal_length, EDGE_ANGLE_DEG)
+        edges[here] |= jump
+        edges[there] |= jump
     return edges
 
 

@@ -13,7 +13,7 @@ from adagmm_fusion.atomic_file import write_text
 from adagmm_fusion.errors import OutputError, RecordingError
 from adagmm_fusion.formats.own import FORMAT, FRAME_NAME, MANIFEST, VERSION
 from adagmm_fusion.frame_sequence import FrameEntry, Recording
-from adagmm_fusion.frames import RGBDFrame, inverse_rigid
+from adagmm_fusion.frames import PinholeIntrinsics, RGBDFrame, inverse_rigid
 from adagmm_fusion.rig import Rig, SensorCalibration, save_rig
 
 RIG_FILE = "rig.yaml"
@@ -52,7 +52,10 @@ def convert_recording(recording: Recording, folder, *, on_frame: Callable[[int, 
         shutil.rmtree(partial, ignore_errors=True)
         partial.mkdir(parents=True)
         calibrations = _write_images(recording, partial, on_frame)
-        sensors = {name: SensorCalibration(name, *calibrations[name], extrinsics[name]) for name in recording.sensors}
+        sensors = {
+            name: SensorCalibration(name, *calibrations[name], T_rig_sensor=extrinsics[name])
+            for name in recording.sensors
+        }
         save_rig(
             partial / RIG_FILE, Rig(recording.name, sensors, f"of {recording.path.name}, read as {recording.format}")
         )
@@ -88,20 +91,21 @@ def _extrinsics(recording: Recording, moments) -> tuple[dict[str, np.ndarray | N
     moving = not others or any(_differ(e, moments) for e in next(iter(moments.values())).values())
     if not moving:
         return {sensor: entry.T_world_camera for sensor, entry in next(iter(moments.values())).items()}, False
-    extrinsics = {first: np.eye(4)} | dict.fromkeys(others)
+    extrinsics: dict[str, np.ndarray | None] = {first: np.eye(4)} | dict.fromkeys(others)
     for pair in recording.pairs:
         source, target = recording.entries[pair.source], recording.entries[pair.target]
         if pair.T_target_source is not None and source.name == target.name and target.sensor == first:
             extrinsics[source.sensor] = pair.T_target_source
     for sensor in others:
         for name, entries in moments.items():
-            poses = entries[first].T_world_camera, entries[sensor].T_world_camera
-            if any(pose is None for pose in poses):
+            T_world_first, T_world_sensor = entries[first].T_world_camera, entries[sensor].T_world_camera
+            if T_world_first is None or T_world_sensor is None:
                 continue
-            relative = inverse_rigid(poses[0]) @ poses[1]
-            if extrinsics[sensor] is None:
+            relative = inverse_rigid(T_world_first) @ T_world_sensor
+            known = extrinsics[sensor]
+            if known is None:
                 extrinsics[sensor] = relative
-            if not np.allclose(relative, extrinsics[sensor], rtol=0, atol=1e-6):
+            elif not np.allclose(relative, known, rtol=0, atol=1e-6):
                 raise RecordingError(f"{recording.path}: {sensor} has moved against {first} in frame {name}")
     return extrinsics, True
 
@@ -113,9 +117,9 @@ def _differ(entry: FrameEntry, moments) -> bool:
     return any(not np.array_equal(pose, poses[0]) for pose in poses)
 
 
-def _write_images(recording: Recording, folder: Path, on_frame) -> dict[str, tuple]:
+def _write_images(recording: Recording, folder: Path, on_frame) -> dict[str, tuple[PinholeIntrinsics, float]]:
     """Write all images; returns the intrinsics and depth scale of each sensor."""
-    calibrations: dict[str, tuple] = {}
+    calibrations: dict[str, tuple[PinholeIntrinsics, float]] = {}
     for number, entry in enumerate(recording.entries, 1):
         frame = entry.load()
         depth, depth_scale = _whole_units(frame)

@@ -85,10 +85,13 @@ class Rig:
         ------
         RigError  if the rig lacks one of the two sensors, or where one of them is.
         """
-        for name in (target, source):
-            if self.sensor(name).T_rig_sensor is None:
-                raise RigError(f"{self.label}: T_rig_sensor of sensor {name!r} is unknown; calibrate the rig first")
-        return inverse_rigid(self.sensors[target].T_rig_sensor) @ self.sensors[source].T_rig_sensor
+        return inverse_rigid(self._known_pose(target)) @ self._known_pose(source)
+
+    def _known_pose(self, name: str) -> np.ndarray:
+        T_rig_sensor = self.sensor(name).T_rig_sensor
+        if T_rig_sensor is None:
+            raise RigError(f"{self.label}: T_rig_sensor of sensor {name!r} is unknown; calibrate the rig first")
+        return T_rig_sensor
 
 
 def load_rig(path) -> Rig:
@@ -149,7 +152,10 @@ def _read_sensor(name: str, item: Item) -> SensorCalibration:
         intrinsics = PinholeIntrinsics(
             sizes["width"].integer(),
             sizes["height"].integer(),
-            *(sizes[key].number() for key in ("fx", "fy", "cx", "cy")),
+            sizes["fx"].number(),
+            sizes["fy"].number(),
+            sizes["cx"].number(),
+            sizes["cy"].number(),
             distortion=keys["distortion"].numbers() if "distortion" in keys else (),
         )
     except RigError:

@@ -7,6 +7,7 @@ unknown keys are errors, because a calibration that ignores half of its file is 
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 import yaml
@@ -29,7 +30,7 @@ class Item:
     error: type[InputError]
     quoted: bool = False
 
-    def fail(self, message: str):
+    def fail(self, message: str) -> NoReturn:
         """Raise this document's error about this value."""
         raise self.error(f"{self.path}:{self.line}: {self.label}: {message}")
 
@@ -66,16 +67,18 @@ class Item:
         return wanted
 
     def integer(self) -> int:
-        if self.quoted or not INTEGER.fullmatch(self.text()):
-            self.fail(f"expected an integer, got {self.value!r}")
-        return int(self.value)
+        text = self.text()
+        if self.quoted or not INTEGER.fullmatch(text):
+            self.fail(f"expected an integer, got {text!r}")
+        return int(text)
 
     def number(self) -> float:
-        if self.quoted or not NUMBER.fullmatch(self.text()):
-            self.fail(f"expected a finite number, got {self.value!r}")
-        number = float(self.value)
+        text = self.text()
+        if self.quoted or not NUMBER.fullmatch(text):
+            self.fail(f"expected a finite number, got {text!r}")
+        number = float(text)
         if not np.isfinite(number):
-            self.fail(f"expected a finite number, got {self.value!r}, which is too large")
+            self.fail(f"expected a finite number, got {text!r}, which is too large")
         return number
 
     def numbers(self) -> tuple[float, ...]:
@@ -151,7 +154,7 @@ class _Builder:
         return Item(value, self.path, line, label, self.error, quoted)
 
     def entries(self, label: str, depth: int) -> dict[str, Item]:
-        entries = {}
+        entries: dict[str, Item] = {}
         prefix = f"{label}." if depth else ""
         while not isinstance(event := next(self.events), yaml.MappingEndEvent):
             key = self.item(event, f"{label}: a key", depth + 1).text()

@@ -91,26 +91,28 @@ def _read_motion(item: Item) -> bool:
 
 
 def _read_sensors(item: Item) -> list[str]:
-    names = []
+    names: list[str] = []
     for entry in item.sequence():
-        if not SENSOR_NAME.fullmatch(entry.text()):
-            entry.fail(f"expected a name of letters, digits, _ - and . (not first), got {entry.value!r}")
-        if entry.value in names:
-            entry.fail(f"sensor {entry.value!r} is listed twice")
-        names.append(entry.value)
+        name = entry.text()
+        if not SENSOR_NAME.fullmatch(name):
+            entry.fail(f"expected a name of letters, digits, _ - and . (not first), got {name!r}")
+        if name in names:
+            entry.fail(f"sensor {name!r} is listed twice")
+        names.append(name)
     if not names:
         item.fail("expected at least one sensor, got none")
     return names
 
 
 def _find_rig(folder: Path, item: Item) -> Path:
-    if not FRAME_NAME.fullmatch(item.text()):
-        item.fail(f"expected a file name without folders, got {item.value!r}")
-    places = (folder / item.value, folder.resolve().parent.parent / "calibration" / item.value)
+    name = item.text()
+    if not FRAME_NAME.fullmatch(name):
+        item.fail(f"expected a file name without folders, got {name!r}")
+    places = (folder / name, folder.resolve().parent.parent / "calibration" / name)
     for path in places:
         if path.is_file():
             return path
-    item.fail(f"{item.value} is neither in the recording nor at {places[1]}; give the rig file")
+    item.fail(f"{name} is neither in the recording nor at {places[1]}; give the rig file")
 
 
 def _read_frames(item: Item, sensors: list[str], moving: bool) -> list[tuple[str, dict, np.ndarray | None]]:
@@ -160,7 +162,7 @@ def _read_pairs(item: Item, entries: list[FrameEntry]) -> tuple[PairEntry, ...]:
         for key in keys.values():
             if key.text() not in index:
                 key.fail(f"expected sensor/frame of a frame that is there, got {key.value!r}")
-        pairs.append(PairEntry(index[keys["source"].value], index[keys["target"].value]))
+        pairs.append(PairEntry(index[keys["source"].text()], index[keys["target"].text()]))
     return tuple(pairs)
 
 

@@ -34,14 +34,18 @@ def read(folder: Path, options: ReadOptions) -> Recording:
     for where, words in read_rows(folder / "all_frame_names.txt"):
         if len(words) != 1:
             raise RecordingError(f"{where}: expected one image name, got {' '.join(words)!r}")
-        paths = tuple(inside(folder, f"{kind}/{words[0]}", where) for kind in ("images", "depth"))
-        names.append((words[0], *paths))
+        color, depth = (inside(folder, f"{kind}/{words[0]}", where) for kind in ("images", "depth"))
+        names.append((words[0], color, depth))
     poses = [parse_pose(parse_numbers(words, 16, where), where) for where, words in read_rows(folder / "poses.txt")]
     if len(poses) != len(names):
         raise RecordingError(
             f"{folder / 'poses.txt'}: expected {len(names)} poses, as all_frame_names.txt has names, got {len(poses)}"
         )
-    present = [(*n, pose) for n, pose in zip(names, poses, strict=True) if n[1].exists() or n[2].exists()]
+    present = [
+        (name, color, depth, pose)
+        for (name, color, depth), pose in zip(names, poses, strict=True)
+        if color.exists() or depth.exists()
+    ]
     if not present:
         raise RecordingError(f"{folder}: none of the {len(names)} images of all_frame_names.txt is there")
     own = intrinsics_from_matrix(read_matrix(folder / "K.txt", 3, 3), image_size(present[0][2]), folder / "K.txt")

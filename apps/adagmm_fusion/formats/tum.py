@@ -132,7 +132,7 @@ def _poses_at(path: Path, stamps: np.ndarray) -> list[np.ndarray | None]:
         raise RecordingError(f"{path}: expected at least two poses, got {len(rows)}")
     table = np.array(sorted(rows))
     times, translations, rotations = table[:, 0], table[:, 1:4], Rotation.from_quat(table[:, 4:])
-    poses = []
+    poses: list[np.ndarray | None] = []
     for stamp in stamps:
         after = np.searchsorted(times, stamp)
         exact = after < len(times) and times[after] == stamp
@@ -162,7 +162,7 @@ def _read_pairs(path: Path, stamps: np.ndarray) -> tuple[PairEntry, ...]:
                     f"{where}: no frame has its depth at {stamp:.6f}; the nearest is {stamps[nearest]:.6f}"
                 )
             indices.append(nearest)
-        pairs.append(PairEntry(*indices))
+        pairs.append(PairEntry(indices[0], indices[1]))
     return tuple(pairs)
 
 

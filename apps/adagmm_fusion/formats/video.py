@@ -16,6 +16,7 @@ import re
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import open3d as o3d
@@ -81,7 +82,7 @@ class _Stream:
     """One open file. Readers cannot go to another process, so each process opens its own (see _open)."""
 
     path: str
-    reader: object
+    reader: Any  # AzureKinectMKVReader or RSBagReader
     seconds: float
     fps: float
     intrinsics: PinholeIntrinsics | None
@@ -108,7 +109,7 @@ class _Stream:
 def _open(path: str) -> _Stream:
     mkv = path.lower().endswith(".mkv")
     try:
-        reader = o3d.io.AzureKinectMKVReader() if mkv else o3d.t.io.RSBagReader()
+        reader: Any = o3d.io.AzureKinectMKVReader() if mkv else o3d.t.io.RSBagReader()
     except AttributeError as problem:
         raise RecordingError(f"{path}: this build of Open3D has no reader for it; use another build") from problem
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,11 @@ MAX_NONFINITE_SHARE = 0.01
 GOOD_PERCENTILE = 12.5
 # A variance this many times the unit is a flag more than a measurement.
 VAGUE = 100.0
+# What the kernels' float32 can tell apart: variances relative to the unit, and the least one of a point to its largest.
+VARIANCE_RANGE = (1e-6, 1e12)
+THINNEST = 1e-6
+# Squares of coordinates [input units] must neither overflow nor vanish.
+LARGEST_COORDINATE, SMALLEST_EXTENT = 1e140, 1e-140
 PACKED = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
@@ -54,7 +60,7 @@ class Mixture:
         """(n,) geometric mean of the principal variances, |Σ|^(1/D): one number for how vague a point is."""
         if self.isotropic:
             return self.covariances[:, 0, 0].copy()
-        return np.linalg.det(self.covariances) ** (1.0 / self.dimension)
+        return np.exp(np.linalg.slogdet(self.covariances).logabsdet / self.dimension)
 
     def packed_covariances(self) -> Array:
         """(6, n) covariances, packed as xx, xy, xz, yy, yz, zz; in 2D what has a z is zero."""
@@ -85,8 +91,8 @@ def make_mixture(
     Parameters
     ----------
     name : "source" or "target"; begins every error message.
-    points : (n, D), D = 2 or 3, any real dtype.   covariances : (n, D, D), or None for the identity at every point.
-    weights : (n,) positive, or None for ones.
+    points : (n, D), D = 2 or 3, any real dtype.   covariances : (n, D, D), or None for the identity at every point; one
+    with a variance below THINNEST times its largest is thickened to that.   weights : (n,) positive, or None for ones.
 
     Raises
     ------
@@ -155,11 +161,13 @@ def _check_positive_definite(name: str, c: Array, usable: NDArray[np.bool_]) -> 
         crooked = np.flatnonzero(skew > 1e-5 * scale)
         if len(crooked):
             raise InputError(f"{name}.covariances: not symmetric at index {index[crooked[0]]} ({len(crooked)} in all)")
-        c += c.transpose(0, 2, 1)
-        c *= 0.5
+        c[:] = 0.5 * c + 0.5 * c.transpose(0, 2, 1)
         eigenvalues = np.linalg.eigvalsh(c)
         bad = np.flatnonzero(eigenvalues[:, 0] <= 1e-12 * eigenvalues[:, -1])
         isotropic = False
+        thin = np.flatnonzero(eigenvalues[:, 0] < THINNEST * eigenvalues[:, -1])
+        if not len(bad) and len(thin):
+            c[thin] = _thickened(c[thin])
     if len(bad):
         raise InputError(
             f"{name}.covariances: not positive definite at index {index[bad[0]]} ({len(bad)} in all); "
@@ -168,15 +176,32 @@ def _check_positive_definite(name: str, c: Array, usable: NDArray[np.bool_]) -> 
     return isotropic
 
 
+def _thickened(c: Array) -> Array:
+    """Covariances with no principal variance below THINNEST times the largest."""
+    variances, axes = np.linalg.eigh(c)
+    variances = np.maximum(variances, THINNEST * variances[:, -1:])
+    return (axes * variances[:, None, :]) @ axes.transpose(0, 2, 1)
+
+
 def _check_spread(name: str, p: Array) -> None:
     """Points in one place leave the rotation free; in 3D so do points on one line."""
-    centred = p - p.mean(axis=0)
+    largest = float(np.abs(p).max())
+    if largest > LARGEST_COORDINATE:
+        raise InputError(f"{name}.points: expected coordinates up to {LARGEST_COORDINATE:g}, got {largest:g}; rescale")
+    centred = p - p[0]
+    centred -= centred.mean(axis=0)
+    extent = float(np.abs(centred).max())
+    if 0.0 < extent < SMALLEST_EXTENT:
+        raise InputError(f"{name}.points: expected an extent of {SMALLEST_EXTENT:g} or more, got {extent:g}; rescale")
+    centred /= max(extent, SMALLEST_EXTENT)
+    # Squared singular values would lose a thin direction beside rounding, but are much cheaper for many points.
     spread = (
         np.linalg.svd(centred, compute_uv=False)
         if len(p) < 50
-        else np.sqrt(np.linalg.eigvalsh(centred.T @ centred)[::-1])
+        else np.sqrt(np.maximum(np.linalg.eigvalsh(centred.T @ centred)[::-1], 0.0))
     )
-    rank = int((spread > 1e-7 * max(spread[0], 1e-12 * np.abs(p).max())).sum()) if spread[0] > 0 else 0
+    rounding = 4.0 * np.finfo(float).eps * math.sqrt(len(p)) * largest / max(extent, SMALLEST_EXTENT)
+    rank = int((spread > max(1e-7 * spread[0], rounding)).sum())
     if rank < p.shape[1] - 1:
         shape = "in one place" if rank == 0 else "on one line"
         raise DegenerateError(f"{name}.points: all {len(p)} points are {shape}; a pose cannot be found")
@@ -236,8 +261,8 @@ def normalise(source: Mixture, target: Mixture) -> tuple[Mixture, Mixture, Norma
     ]
     scale = float(max(radii))
     normalised = []
-    for m, c in zip(sides, centres, strict=True):
-        covariances = m.covariances / unit
+    for m, c, v in zip(sides, centres, variances, strict=True):
+        covariances = m.covariances * (np.clip(v / unit, *VARIANCE_RANGE) / v)[:, None, None]
         if m.dimension == 2:
             covariances[:, 2, 2] = 1.0
         normalised.append(Mixture((m.points - c) / scale, covariances, m.weights, m.dimension, m.isotropic, m.dropped))

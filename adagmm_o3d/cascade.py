@@ -1,101 +1,127 @@
-"""From many starts on coarse mixtures to one pose on all points: search, decide, refine."""
+"""From a start to a pose: coarse to fine from the trusted starts; where that leaves doubt, a search; then all points.
+
+The posterior of a wrong pose can be as self-consistent as that of the right one, so EM alone cannot tell them apart. The
+likelihood of both clouds can, and on merged mixtures it is cheap to ask for many starts.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from .arguments import Array
 from .coarse import merge, sample
 from .em import Criteria, Outcome, expectation_maximisation
-from .expectation import PosteriorExpectation, uniform_density
+from .expectation import SIGMA_FLOOR, PosteriorExpectation
 from .kernels.pair_loop import PairLoop
 from .mixture import Mixture
-from .start_search import JUDGED_UNMATCHED, End, Start, distinct, run_starts
+from .start_search import End, Limits, Start, distinct, pose_distance, run_starts
 from .trace import Iteration
 
-# Components on the two coarse levels, and points on the one that decides between the last candidates.
-MERGED, SAMPLED, DECIDING = 200, 400, 1500
-# Standard deviations (squared) to which σ may fall on the coarse levels: what so few components can tell.
-MERGED_FLOOR, SAMPLED_FLOOR = 2e-3, 1e-3
-# How many candidates go on from each level, and how far apart they are (‖ΔR‖_F + ‖Δt‖, normalised).
+# Components of the coarsest level, points of the one that ranks the search, and of the one that decides. Clouds of up to
+# SMALL points decide with all of them; a search among small clouds does better on a part (heavy noise above all).
+MERGED, RANKING, DECIDING, SMALL, SMALL_DECIDING = 200, 400, 1000, 1100, 500
+# How far EM goes on each: what so many components can tell.
+MERGED_LIMITS = Limits(floor=2e-3, least_unmatched=0.05, step=1e-3)
+RANKING_LIMITS = Limits(floor=1e-3, least_unmatched=0.05, step=1e-3)
+DECIDING_LIMITS = Limits(floor=SIGMA_FLOOR, least_unmatched=0.15, step=3e-4)
+# How many candidates go on from a level, and how far apart they have to be (see `pose_distance`).
 KEPT_MERGED, APART_MERGED = 4, 0.12
-KEPT_SAMPLED, APART_SAMPLED = 2, 0.04
+KEPT_RANKING, APART_RANKING = 2, 0.04
+APART_DECIDING = 0.02
+# Residuals within half the distance between neighbouring points are no coincidence: no search is needed.
+TIGHT = 0.5
+PROBES = 150
+SPACING_FROM = 20_000
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """A pose that has been refined, and how well it explains both clouds."""
-
-    start: Array
-    outcome: Outcome
-    sigma: float
-    unmatched: float
-    log_likelihood: float
+def register_trusted(source: Mixture, target: Mixture, starts: list[Start]) -> tuple[End, End]:
+    """The likeliest of the starts, on the merged level and carried on to the deciding one."""
+    ends = run_starts(merge(source, MERGED), merge(target, MERGED), starts, limits=MERGED_LIMITS, level=0)
+    merged = max(ends, key=lambda end: end.log_likelihood)
+    size = DECIDING if max(len(source), len(target)) > SMALL else SMALL
+    return merged, _decide(source, target, [merged], size)[0]
 
 
-def search(source: Mixture, target: Mixture, starts: list[Start]) -> list[End]:
-    """The likeliest ends of all starts, at most KEPT_SAMPLED, best first. The first start is always among those that
-    reach the second level, and there σ follows its residuals: under heavy noise it is the one that must not be forced.
-    """
-    merged = run_starts(merge(source, MERGED), merge(target, MERGED), starts, floor=MERGED_FLOOR, level=0)
-    kept = distinct(merged, KEPT_MERGED, APART_MERGED)
-    first = merged[0]
-    again = [_continued(first, first.sigma, follow=1.0)]
-    again += [_continued(end, 2.0 * MERGED_FLOOR, follow=0.0) for end in kept if end is not first]
-    before = [first, *(end for end in kept if end is not first)]
-    sampled = run_starts(sample(source, SAMPLED), sample(target, SAMPLED), again, floor=SAMPLED_FLOOR, level=1)
-    joined = [
-        replace(end, start=old.start, iterations=old.iterations + end.iterations)
-        for old, end in zip(before, sampled, strict=True)
+def is_tight(end: End, source: Mixture, target: Mixture) -> bool:
+    """Whether the residuals of an end are so small beside the spacing of the points that it must be the right one."""
+    variance = sum(float(np.median(m.variances())) for m in (source, target))
+    return math.sqrt(end.sigma * variance) <= TIGHT * _spacing(target)
+
+
+def search(source: Mixture, target: Mixture, starts: list[Start], trusted: tuple[End, End]) -> list[End]:
+    """The trusted end and those of other starts, likeliest first, all on the deciding level."""
+    merged, decided = trusted
+    size = DECIDING
+    if max(len(source), len(target)) <= SMALL:
+        size = SMALL_DECIDING
+        decided = _decide(source, target, [merged], size)[0]
+    ends = run_starts(merge(source, MERGED), merge(target, MERGED), starts, limits=MERGED_LIMITS, level=0)
+    kept = [end for end in distinct([merged, *ends], KEPT_MERGED, APART_MERGED) if end is not merged]
+    again = [replace(_forced(end), sigma=2.0 * MERGED_LIMITS.floor) for end in kept]
+    ranked = run_starts(sample(source, RANKING), sample(target, RANKING), again, limits=RANKING_LIMITS, level=1)
+    rivals = [
+        end
+        for end in distinct(_joined(kept, ranked), KEPT_RANKING, APART_RANKING)
+        if pose_distance(end.pose, decided.pose) > APART_DECIDING
     ]
-    return distinct(joined, KEPT_SAMPLED, APART_SAMPLED)
-
-
-def _continued(end: End, sigma: float, *, follow: float) -> Start:
-    return Start(end.pose, sigma, end.unmatched, two_sided=False, fastest=0.75, iterations=8, follow=follow)
-
-
-def decide(
-    source: Mixture, target: Mixture, ends: list[End], criteria: Criteria, *, two_sided: bool
-) -> list[Candidate]:
-    """Each end refined on at most DECIDING points of either cloud; likeliest first."""
-    pairs = PairLoop(_at_most(source, DECIDING), _at_most(target, DECIDING))
-    dimension = source.dimension
-    candidates = []
-    for end in ends:
-        expectation = PosteriorExpectation(pairs, dimension, end.sigma, unmatched=end.unmatched, two_sided=two_sided)
-        outcome = expectation_maximisation(expectation, end.pose, criteria, dimension, level=2)
-        sigma = expectation.scale.target
-        judged, _ = pairs.posterior_sums(outcome.pose, sigma, uniform_density(JUDGED_UNMATCHED, dimension))
-        outcome = replace(outcome, iterations=end.iterations + outcome.iterations)
-        candidates.append(Candidate(end.start, outcome, sigma, expectation.unmatched, judged.log_likelihood))
-    return sorted(candidates, key=lambda candidate: -candidate.log_likelihood)
+    return sorted([decided, *_decide(source, target, rivals, size)], key=lambda end: -end.log_likelihood)
 
 
 def refine(
     pairs: PairLoop,
-    candidate: Candidate,
+    end: End,
     criteria: Criteria,
     dimension: int,
     *,
-    two_sided: bool,
+    mutuality: float,
     relaxation: float,
     observe: Callable[[Iteration], None] | None,
 ) -> Outcome:
-    """The candidate refined on all points."""
-    expectation = PosteriorExpectation(
-        pairs, dimension, candidate.sigma, unmatched=candidate.unmatched, two_sided=two_sided
-    )
+    """The end carried to convergence on all points."""
+    expectation = PosteriorExpectation(pairs, dimension, end.sigma, unmatched=end.unmatched, mutuality=mutuality)
     outcome = expectation_maximisation(
-        expectation, candidate.outcome.pose, criteria, dimension, relaxation=relaxation, level=3, observe=observe
+        expectation, end.pose, criteria, dimension, relaxation=relaxation, level=3, observe=observe
     )
-    return replace(outcome, iterations=candidate.outcome.iterations + outcome.iterations)
+    return replace(outcome, iterations=end.iterations + outcome.iterations)
 
 
-def _at_most(mixture: Mixture, count: int) -> Mixture:
-    if len(mixture) <= count:
-        return mixture
-    return mixture.take(np.sort(np.random.default_rng(0).permutation(len(mixture))[:count]))
+def _decide(source: Mixture, target: Mixture, ends: list[End], size: int) -> list[End]:
+    again = [
+        Start(end.pose, end.sigma, end.unmatched, fastest=0.75, iterations=20, follow=1.0)
+        for end in ends
+    ]
+    decided = run_starts(sample(source, size), sample(target, size), again, limits=DECIDING_LIMITS, level=2)
+    return _joined(ends, decided)
+
+
+def _forced(end: End) -> Start:
+    return Start(end.pose, end.sigma, end.unmatched, fastest=0.65, iterations=6, follow=0.0)
+
+
+def _joined(before: list[End], after: list[End]) -> list[End]:
+    """Each end with the way that led to its start put in front."""
+    return [
+        replace(end, start=old.start, iterations=old.iterations + end.iterations)
+        for old, end in zip(before, after, strict=True)
+    ]
+
+
+def _spacing(mixture: Mixture) -> float:
+    """Median distance from a point to its nearest neighbour, from a few probes.
+
+    Of a large cloud only a part is looked at, and the spacing of the whole, a surface (in 2D a curve), follows from it.
+    """
+    points = mixture.points
+    if len(points) > SPACING_FROM:
+        points = points[np.random.default_rng(0).permutation(len(points))[:SPACING_FROM]]
+    thinning = (len(points) / len(mixture)) ** (1.0 / (mixture.dimension - 1))
+    probes = np.linspace(0, len(points) - 1, min(PROBES, len(points))).astype(np.intp)
+    nearest = np.empty(len(probes))
+    for k, probe in enumerate(probes):
+        distances_sq = ((points - points[probe]) ** 2).sum(axis=1)
+        distances_sq[probe] = np.inf
+        nearest[k] = distances_sq.min()
+    return float(np.sqrt(np.median(nearest))) * thinning

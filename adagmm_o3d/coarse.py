@@ -30,6 +30,7 @@ class MergedMixture:
     spreads: Array
     weights: Array
     dimension: int
+    isotropic: bool = False
 
 
 def merge(mixture: Mixture, count: int) -> MergedMixture:
@@ -61,7 +62,12 @@ def sample(mixture: Mixture, count: int) -> MergedMixture:
     keep = _certain(mixture, count)
     covariances, weights = mixture.covariances[keep], mixture.weights[keep]
     return MergedMixture(
-        mixture.points[keep], covariances, np.zeros_like(covariances), weights / weights.sum(), mixture.dimension
+        mixture.points[keep],
+        covariances,
+        np.zeros_like(covariances),
+        weights / weights.sum(),
+        mixture.dimension,
+        mixture.isotropic,
     )
 
 

@@ -11,9 +11,12 @@ from .sigma_rules import LEAST_SIGMA, Scale, SigmaRule
 
 # Volume of the world of a cloud of unit RMS radius, over which points without a partner are spread evenly.
 WORLD = {2: 12.0, 3: 30.0}
-# The share of such points is estimated within these bounds: never none, never nearly all. The lower one is what keeps
-# the weights of a finished registration soft under noise.
-UNMATCHED_RANGE = (0.15, 0.7)
+# The share of such points is estimated within these bounds: never none, never nearly all.
+LEAST_UNMATCHED, MOST_UNMATCHED = 0.05, 0.7
+# No sensor resolves its cloud's shape better than this: a standard deviation of 1.6 % of the radius.
+SIGMA_FLOOR = 2.5e-4
+# How fast σ may fall on all points: to this share of itself in an iteration.
+FASTEST = 0.8
 # σ counts as settled when it changes by less than this share.
 SIGMA_TOLERANCE = 0.01
 
@@ -69,21 +72,22 @@ class PosteriorExpectation:
         sigma: float,
         *,
         unmatched: float,
-        two_sided: bool,
-        fastest: float = 0.8,
-        floor: float = 2.5e-4,
+        mutuality: float,
+        fastest: float = FASTEST,
+        floor: float = SIGMA_FLOOR,
     ) -> None:
         self._pairs, self._dimension = pairs, dimension
-        self._fastest, self._floor, self._two_sided = fastest, floor, two_sided
+        self._fastest, self._floor, self._mutuality = fastest, floor, mutuality
         self._columns: Array | None = None
         self.scale = Scale(sigma, sigma)
         self.unmatched = unmatched
 
     def e_step(self, pose: Array) -> PosteriorSums:
-        if self._two_sided and self._columns is None:
+        if self._mutuality > 0.0 and self._columns is None:
             _, self._columns = self._pairs.posterior_sums(pose, self.scale.target, self._uniform())
-        columns = self._columns if self._two_sided else None
-        sums, self._columns = self._pairs.posterior_sums(pose, self.scale.target, self._uniform(), columns)
+        sums, self._columns = self._pairs.posterior_sums(
+            pose, self.scale.target, self._uniform(), self._columns, self._mutuality
+        )
         return sums
 
     def shrink(self, pose: Array, sums: PairSums, settled: bool) -> bool:
@@ -91,7 +95,7 @@ class PosteriorExpectation:
         old = self.scale.target
         observed = old * sums.energy / sums.weight / self._dimension
         new = max(self._fastest * old, observed, self._floor, LEAST_SIGMA)
-        self.unmatched = min(max(1.0 - sums.overlap, UNMATCHED_RANGE[0]), UNMATCHED_RANGE[1])
+        self.unmatched = min(max(1.0 - sums.overlap, LEAST_UNMATCHED), MOST_UNMATCHED)
         self.scale = Scale(new, new)
         return settled and abs(new / old - 1.0) < SIGMA_TOLERANCE
 

@@ -29,7 +29,8 @@ class TransformationEstimationForAdaptiveGMM:
     start : where to begin when `init` is the identity or left out.
         "auto": at the identity or with common centroids, whichever explains the clouds better.
         "init": at the identity.   "centroids": with common centroids (the paper).
-    two_sided : posteriors seen from both clouds (True) or from the source alone.
+    search : where the first result leaves doubt, try other starts too and let the likelihood decide.
+    mutuality : 0 to 0.5, how much a pair's weight is also a share of the target point's (0.5: both clouds alike).
     relaxation : lengthens every step, 1 <= relaxation < 2; above 1 it saves iterations.
 
     Raises
@@ -39,7 +40,8 @@ class TransformationEstimationForAdaptiveGMM:
 
     sigma_rule: SigmaRuleName = "posterior"
     start: StartName = "auto"
-    two_sided: bool = True
+    search: bool = True
+    mutuality: float = 0.5
     relaxation: float = 1.0
 
     def __post_init__(self) -> None:

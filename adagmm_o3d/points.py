@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from . import starts
 from .arguments import Array
-from .cascade import DECIDING, decide, refine, search
+from .cascade import is_tight, refine, register_trusted, search
 from .em import Criteria, Outcome, expectation_maximisation
 from .errors import DeviceError, InputError
 from .expectation import AdaptiveExpectation
@@ -22,7 +22,6 @@ from .mixture import Mixture, Normalisation, make_mixture, normalise
 from .options import DEFAULT_MAX_ITERATION, DEFAULT_RELATIVE_RMSE, TransformationEstimationForAdaptiveGMM
 from .result import PointRegistrationResult, StopReason
 from .sigma_rules import Annealed, FigureTwo, NearestDistance, SigmaRule
-from .start_search import Start
 from .trace import Iteration
 
 # A pose handed over by another program has float32 digits.
@@ -83,13 +82,13 @@ def register_points(
     dimension = moving.dimension
     moving, fixed, normalisation = normalise(moving, fixed)
     observe = _observer(callback_after_iteration, normalisation, dimension)
+    given = None if init is None else _start_pose(init, normalisation, dimension)
     if method.sigma_rule == "posterior":
-        first = _starts(method, init, normalisation, dimension)
-        start, outcome = _search_and_refine(moving, fixed, first, method, limits, observe)
+        bases = _bases(method, given, normalisation)
+        start, outcome = _search_and_refine(moving, fixed, bases, method, limits, observe)
     else:
-        start = np.eye(4) if init is None else _start_pose(init, normalisation, dimension)
-        pairs = PairLoop(moving, fixed)
-        expectation = AdaptiveExpectation(pairs, _sigma_rule(method, dimension), start)
+        start = np.eye(4) if given is None else given
+        expectation = AdaptiveExpectation(PairLoop(moving, fixed), _sigma_rule(method, dimension), start)
         outcome = expectation_maximisation(
             expectation, start, limits, dimension, relaxation=method.relaxation, observe=observe
         )
@@ -99,25 +98,26 @@ def register_points(
 def _search_and_refine(
     source: Mixture,
     target: Mixture,
-    first: list[Start],
+    bases: list[Array],
     method: TransformationEstimationForAdaptiveGMM,
     criteria: Criteria,
     observe: Callable[[Iteration], None] | None,
 ) -> tuple[Array, Outcome]:
-    ends = search(source, target, first)
-    candidates = decide(source, target, ends, criteria, two_sided=method.two_sided)
-    best = candidates[0]
+    """From the poses to start at, the first of which is searched around, to the outcome and the start that led to it."""
+    trusted = register_trusted(source, target, [starts.wide(base) for base in bases])
+    best = trusted[1]
+    if method.search and not is_tight(best, source, target):
+        others = [*starts.around(bases[0], source.dimension), *(starts.narrow(base) for base in bases[1:])]
+        best = search(source, target, others, trusted)[0]
     if observe is not None:
-        for iteration in best.outcome.iterations:
+        for iteration in best.iterations:
             observe(iteration)
-    if max(len(source), len(target)) <= DECIDING:
-        return best.start, best.outcome
     outcome = refine(
         PairLoop(source, target),
         best,
         criteria,
         source.dimension,
-        two_sided=method.two_sided,
+        mutuality=method.mutuality,
         relaxation=method.relaxation,
         observe=observe,
     )
@@ -139,22 +139,18 @@ def _criteria(criteria: Any) -> Criteria:
     return Criteria(float(criteria.relative_rmse), int(criteria.max_iteration))
 
 
-def _starts(
-    method: TransformationEstimationForAdaptiveGMM,
-    init: ArrayLike | None,
-    normalisation: Normalisation,
-    dimension: int,
-) -> list[Start]:
-    centroids = np.eye(4)
-    pose = None if init is None else _start_pose(init, normalisation, dimension)
-    identity = normalisation.pose_in(np.eye(4))
-    given = identity if pose is None else pose
+def _bases(
+    method: TransformationEstimationForAdaptiveGMM, given: Array | None, normalisation: Normalisation
+) -> list[Array]:
+    """The poses to start at, between normalised clouds."""
+    centroids, identity = np.eye(4), normalisation.pose_in(np.eye(4))
+    if method.start == "centroids":
+        return [centroids]
     if method.start == "init":
-        return starts.at(given)
-    if method.start == "centroids" or pose is None or np.allclose(pose, identity):
-        around = starts.around(centroids, dimension)
-        return around if method.start == "centroids" else [*around, *starts.at(identity)]
-    return starts.at(given)
+        return [identity if given is None else given]
+    if given is None or np.allclose(given, identity):
+        return [centroids, identity]
+    return [given]
 
 
 def _start_pose(init: ArrayLike, normalisation: Normalisation, dimension: int) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 
 from .arguments import Array
 from .coarse import MergedMixture
-from .expectation import WORLD
+from .expectation import MOST_UNMATCHED, WORLD
 from .kernels import search as kernel
 from .kernels.compiling import LOG2_SCALE
 from .mixture import PACKED
@@ -17,9 +17,6 @@ from .trace import Iteration
 
 # Ends are compared at this share of unmatched points, each at its own σ.
 JUDGED_UNMATCHED = 0.1
-SEARCH_UNMATCHED_RANGE = (0.05, 0.7)
-# A start is done when a step is shorter than this (‖δ‖, normalised).
-TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -33,10 +30,20 @@ class Start:
     pose: Array
     sigma: float
     unmatched: float
-    two_sided: bool
     fastest: float
     iterations: int
     follow: float
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How far EM goes on a level: the floor of σ, the least share of unmatched points, and the last step ‖δ‖: `step`,
+    or √(relative_rmse · σ) where that is more."""
+
+    floor: float
+    least_unmatched: float
+    step: float = 0.0
+    relative_rmse: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -49,6 +56,7 @@ class End:
     log_likelihood: float
     start: Array
     iterations: tuple[Iteration, ...]
+    settled: bool
 
 
 def run_starts(
@@ -56,14 +64,15 @@ def run_starts(
     target: MergedMixture,
     starts: list[Start],
     *,
-    floor: float,
+    limits: Limits,
     level: int,
 ) -> list[End]:
-    """Run EM from every start, σ never below `floor`; the ends, in the order of the starts."""
-    planar = source.dimension == 2
+    """Run EM from every start; the ends, in the order of the starts."""
+    if not starts:
+        return []
     poses = np.array([s.pose[:3].ravel() for s in starts])
     columns = np.array(
-        [[s.sigma, s.unmatched, s.two_sided, s.fastest, s.iterations, s.follow] for s in starts], np.float64
+        [[s.sigma, s.unmatched, s.fastest, s.iterations, s.follow] for s in starts], np.float64
     )
     ends = np.empty((len(starts), kernel.END_COLUMNS))
     history = np.empty((len(starts), max(s.iterations for s in starts), kernel.HISTORY_COLUMNS))
@@ -73,11 +82,11 @@ def run_starts(
         columns,
         _packed(source),
         _packed(target),
-        planar,
+        (source.dimension == 2, source.isotropic and target.isotropic),
         (2.0 * math.pi * LOG2_SCALE) ** half / WORLD[source.dimension],
         JUDGED_UNMATCHED,
-        (floor, *SEARCH_UNMATCHED_RANGE),
-        TOLERANCE,
+        (limits.floor, limits.least_unmatched, MOST_UNMATCHED),
+        (limits.step, limits.relative_rmse),
         ends,
         history,
     )
@@ -89,6 +98,7 @@ def run_starts(
             log_likelihood=float(ends[k, kernel.END_LIKELIHOOD]),
             start=starts[k].pose,
             iterations=_iterations(history[k, : int(ends[k, kernel.END_ITERATIONS])], level),
+            settled=bool(ends[k, kernel.END_SETTLED]),
         )
         for k in range(len(starts))
     ]

@@ -128,11 +128,11 @@ class PosteriorSums:
     """(N,) density of the source mixture at the target points, without (2π)^(−D/2)."""
 
 
-def posterior_sums(y, S, x, T, uniform, column_densities=None, source_weights=None, target_weights=None):
+def posterior_sums(y, S, x, T, uniform, column_densities, mutuality, source_weights=None, target_weights=None):
     """The E-step on N(d; 0, S_m + T_n), S (M, D, D) and T (N, D, D) being covariances, already turned and scaled.
 
-    A pair's weight w is its share of the density at y_m; with `column_densities`, the geometric mean of that share and
-    the one at x_n. `uniform` is the density of points without a partner.
+    A pair's weight w is the weighted geometric mean of its share of the density at y_m and of the one at x_n, the latter
+    to the power of `mutuality`. `uniform` is the density of points without a partner.
     """
     u = np.full(len(y), 1.0 / len(y)) if source_weights is None else source_weights / np.sum(source_weights)
     v = np.full(len(x), 1.0 / len(x)) if target_weights is None else target_weights / np.sum(target_weights)
@@ -141,10 +141,8 @@ def posterior_sums(y, S, x, T, uniform, column_densities=None, source_weights=No
     P = np.linalg.inv(summed)
     density = np.linalg.det(summed) ** -0.5 * np.exp(-0.5 * np.einsum("mni,mnij,mnj->mn", d, P, d))
     rows, columns = density @ v, u @ density
-    if column_densities is None:
-        w = density * u[:, None] * v / (rows + uniform)[:, None]
-    else:
-        w = density * u[:, None] * v / np.sqrt((rows + uniform)[:, None] * (column_densities + uniform)[None])
+    seen_from_source = (rows + uniform)[:, None] ** (1.0 - mutuality)
+    w = density * u[:, None] * v / (seen_from_source * (column_densities + uniform)[None] ** mutuality)
     size = y.shape[1] * (y.shape[1] + 1) // 2
     hessian, gradient = np.zeros((size, size)), np.zeros(size)
     for m in range(len(y)):

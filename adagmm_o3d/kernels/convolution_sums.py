@@ -124,7 +124,7 @@ def _build(stamp):
 
     @njit(**KERNEL_FLAGS)
     def convolution_sums(
-        pose, sigmas, source, target, tiles, isotropic, planar, uniform, two_sided, bands, columns, partials, densities
+        pose, sigmas, source, target, tiles, isotropic, planar, uniform, mutuality, bands, columns, partials, densities
     ):  # fmt: skip
         _ = stamp
         points, covariances, weights, weights32, variances, bits = source
@@ -180,7 +180,7 @@ def _build(stamp):
                     posterior = 1.0 / (density + uniform)
                     total[TOTAL_LIKELIHOOD] += weights[m] * math.log1p(density / uniform)
                     total[TOTAL_MATCHED] += weights[m] * density * posterior
-                    scale = weights[m] * (math.sqrt(posterior / uniform) if two_sided else posterior)
+                    scale = weights[m] * posterior ** (1.0 - mutuality) * uniform**-mutuality
                     add_row(rows[k], scale, y[0, k], y[1, k], y[2, k], still, total)
 
     return convolution_sums

@@ -136,22 +136,24 @@ class PairLoop:
         )
 
     def posterior_sums(
-        self, pose: Array, sigma: float, uniform: float, column_densities: Array | None = None
+        self, pose: Array, sigma: float, uniform: float, column_densities: Array | None = None, mutuality: float = 0.0
     ) -> tuple[PosteriorSums, Array]:
         """The E-step on convolved Gaussians at `pose` (4, 4), summed up for the M-step; and the column densities.
 
         uniform : density of the points without a partner, in units of (2π)^(-D/2) per normalised volume.
-        column_densities : (N,) density of the source mixture at the target points, as the pass before returned it. With
-            it a pair's weight is the geometric mean of its two posteriors, seen from the source and from the target;
-            without, the one seen from the source.
+        column_densities : (N,) density of the source mixture at the target points, as the pass before returned it.
+        mutuality : 0 to 1/2. A pair has two posteriors, seen from the source (the share it has of the density at the
+            source point) and seen from the target. Its weight is their weighted geometric mean, the second to the power
+            of `mutuality`: at 0 column densities are not needed, 1/2 treats both clouds alike.
         """
         source, target = self._source, self._target
         if self._covariances is None:
             self._covariances = source.covariances(), target.covariances()
         np.multiply(self._covariances[1], np.float32(sigma), out=self._scaled)
         factor = np.ones(len(target.order), np.float32)
-        if column_densities is not None:
-            factor = _float32(np.sqrt(uniform / (column_densities[target.order] + uniform)))
+        if mutuality > 0.0:
+            assert column_densities is not None
+            factor = _float32((uniform / (column_densities[target.order] + uniform)) ** mutuality)
         partials, densities = np.empty((self._bands, TOTAL_SUMS)), np.empty(len(source.order))
         unit = LOG2_SCALE ** (1.0 if self._planar else 1.5)  # |Σ|^(-1/2) in powers of two
         self._run(
@@ -164,7 +166,7 @@ class PairLoop:
             self._isotropic,
             self._planar,
             uniform * unit,
-            column_densities is not None,
+            mutuality,
             self._bands,
             self._columns,
             partials,

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit, prange
 
 from .compiling import F0, F1, FLAGS, KERNEL_FLAGS, LOG2_SCALE, formulas, source_stamp
-from .convolution_sums import row_convolved
+from .convolution_sums import row_convolved, row_convolved_isotropic
 from .layout import (
     DENSITY,
     GRADIENT,
@@ -26,14 +26,13 @@ from .normal_equations import add_row
 rotate_point, rotate_symmetric = formulas.rotate_point, formulas.rotate_symmetric
 
 # What is known of a start, one column each.
-SIGMA, UNMATCHED, TWO_SIDED, FASTEST, ITERATIONS, FOLLOW = range(6)
-START_COLUMNS = 6
+SIGMA, UNMATCHED, FASTEST, ITERATIONS, FOLLOW = range(5)
 # What is kept of an iteration: the pose after it (12), then these.
 HISTORY_SIGMA, HISTORY_ENERGY, HISTORY_MATCHED = 12, 13, 14
 HISTORY_COLUMNS = 15
 # What is known of where it ended.
-END_SIGMA, END_UNMATCHED, END_LIKELIHOOD, END_ITERATIONS = range(4)
-END_COLUMNS = 4
+END_SIGMA, END_UNMATCHED, END_LIKELIHOOD, END_ITERATIONS, END_SETTLED = range(5)
+END_COLUMNS = 5
 
 
 @njit(**FLAGS)
@@ -94,86 +93,92 @@ def move(delta, pose):
 
 
 @njit(**FLAGS)
-def one_pass(pose, sigma, uniform, two_sided, source, target, planar, work, total):
-    """All pairs at `pose`: fills `total` and leaves the column densities of the target in `work`."""
+def one_pass(pose, sigma, uniform, source, target, kind, work, total):
+    """All pairs at `pose`: fills `total`; the likelihood in it is that of both clouds.
+
+    kind : (planar, isotropic); isotropic also means that nothing has been merged.
+    """
+    planar, isotropic = kind
     points, covariances, spreads, weights = source
     x, a, k, share = target
-    scaled, columns, densities, factor, turned, y = work
+    scaled, columns, factor, turned, y = work
     n_all = x.shape[1]
     for j in range(n_all):
-        for i in range(6):
+        for i in range(1 if isotropic else 6):
             scaled[i, j] = sigma * a[i, j] + k[i, j]
-        factor[j] = math.sqrt(uniform / (densities[j] + uniform)) if two_sided else F1
     columns[:] = F0
     total[:] = 0.0
     row = np.zeros(ROW_SUMS)
     still = np.zeros(6, np.float32)
     for m in range(points.shape[1]):
         y[0], y[1], y[2] = rotate_point(pose, points[0, m], points[1, m], points[2, m])
-        turned[0], turned[1], turned[2], turned[3], turned[4], turned[5] = rotate_symmetric(
-            pose,
-            sigma * covariances[0, m] + spreads[0, m],
-            sigma * covariances[1, m] + spreads[1, m],
-            sigma * covariances[2, m] + spreads[2, m],
-            sigma * covariances[3, m] + spreads[3, m],
-            sigma * covariances[4, m] + spreads[4, m],
-            sigma * covariances[5, m] + spreads[5, m],
-        )
-        if planar:
-            turned[5] = F1
         row[:] = 0.0
-        row_convolved(
-            x[0], x[1], x[2], scaled[0], scaled[1], scaled[2], scaled[3], scaled[4], scaled[5], share, factor,
-            weights[m], y[0], y[1], y[2], turned[0], turned[1], turned[2], turned[3], turned[4], turned[5], columns, row,
-        )  # fmt: skip
+        if isotropic:
+            row_convolved_isotropic(
+                x[0], x[1], x[2], scaled[0], share, factor, planar,
+                weights[m], y[0], y[1], y[2], sigma * covariances[0, m], columns, row,
+            )  # fmt: skip
+        else:
+            turned[0], turned[1], turned[2], turned[3], turned[4], turned[5] = rotate_symmetric(
+                pose,
+                sigma * covariances[0, m] + spreads[0, m],
+                sigma * covariances[1, m] + spreads[1, m],
+                sigma * covariances[2, m] + spreads[2, m],
+                sigma * covariances[3, m] + spreads[3, m],
+                sigma * covariances[4, m] + spreads[4, m],
+                sigma * covariances[5, m] + spreads[5, m],
+            )
+            if planar:
+                turned[5] = F1
+            row_convolved(
+                x[0], x[1], x[2], scaled[0], scaled[1], scaled[2], scaled[3], scaled[4], scaled[5], share, factor,
+                weights[m], y[0], y[1], y[2],
+                turned[0], turned[1], turned[2], turned[3], turned[4], turned[5], columns, row,
+            )  # fmt: skip
         posterior = 1.0 / (row[DENSITY] + uniform)
         total[TOTAL_LIKELIHOOD] += weights[m] * math.log1p(row[DENSITY] / uniform)
         total[TOTAL_MATCHED] += weights[m] * row[DENSITY] * posterior
-        scale = weights[m] * (math.sqrt(posterior / uniform) if two_sided else posterior)
-        add_row(row, scale, y[0], y[1], y[2], still, total)
+        add_row(row, weights[m] * posterior, y[0], y[1], y[2], still, total)
     for j in range(n_all):
-        densities[j] = columns[j] / share[j]
-        total[TOTAL_LIKELIHOOD] += share[j] * math.log1p(densities[j] / uniform)
+        total[TOTAL_LIKELIHOOD] += share[j] * math.log1p(columns[j] / (share[j] * uniform))
 
 
 def _build(stamp):
     """The kernel that is called from Python; `stamp` keeps its cache fresh."""
 
     @njit(**KERNEL_FLAGS)
-    def search(poses, starts, source, target, planar, world, judged, bounds, tolerance, ends, history):
+    def search(poses, starts, source, target, kind, world, judged, bounds, tolerances, ends, history):
         """Run every start; `poses` (S, 12) move, `ends` tell σ, the unmatched share and the likelihood at a common scale.
 
         world : density of a uniform mixture of all points.   judged : unmatched share at which ends are compared, each at its own σ.
-        bounds : (floor of σ, least, greatest unmatched share).   history : (S, most iterations, HISTORY_COLUMNS).
+        bounds : (floor of σ, least, greatest unmatched share).   tolerances : a start is done when ‖δ‖ is below the
+        first or, squared, below the second times σ, and σ has settled.   history : (S, most iterations, HISTORY_COLUMNS).
         """
         _ = stamp
         floor, least, greatest = bounds
+        planar = kind[0]
         dimension = 2 if planar else 3
+        absolute, relative = tolerances
         n_all = target[0].shape[1]
         for s in prange(starts.shape[0]):
             pose = poses[s]
             pose32 = np.empty(12, np.float32)
             scaled = np.empty((6, n_all), np.float32)
             columns = np.empty(n_all, np.float32)
-            densities = np.zeros(n_all)
-            factor = np.empty(n_all, np.float32)
+            factor = np.ones(n_all, np.float32)
             turned = np.empty(6, np.float32)
             y = np.empty(3, np.float32)
-            work = (scaled, columns, densities, factor, turned, y)
+            work = (scaled, columns, factor, turned, y)
             total = np.empty(TOTAL_SUMS)
             delta = np.empty(6)
             sigma = starts[s, SIGMA]
             unmatched = starts[s, UNMATCHED]
-            two_sided = starts[s, TWO_SIDED] > 0.0
-            if two_sided:
-                pose32[:] = pose
-                uniform = world * unmatched / (1.0 - unmatched)
-                one_pass(pose32, np.float32(sigma), uniform, False, source, target, planar, work, total)
             ends[s, END_ITERATIONS] = starts[s, ITERATIONS]
+            ends[s, END_SETTLED] = 0.0
             for iteration in range(int(starts[s, ITERATIONS])):
                 pose32[:] = pose
                 uniform = world * unmatched / (1.0 - unmatched)
-                one_pass(pose32, np.float32(sigma), uniform, two_sided, source, target, planar, work, total)
+                one_pass(pose32, np.float32(sigma), uniform, source, target, kind, work, total)
                 solve(total, planar, delta)
                 move(delta, pose)
                 energy = total[TOTAL_ENERGY] / (LOG2_SCALE * max(total[TOTAL_WEIGHT], 1e-300))
@@ -187,14 +192,15 @@ def _build(stamp):
                 moved = 0.0
                 for i in range(6):
                     moved += delta[i] * delta[i]
-                still = moved < tolerance * tolerance and abs(new - sigma) < 0.01 * sigma
+                still = moved <= max(absolute * absolute, relative * sigma) and abs(new - sigma) < 0.01 * sigma
                 sigma = new
                 if still:
                     ends[s, END_ITERATIONS] = iteration + 1
+                    ends[s, END_SETTLED] = 1.0
                     break
             pose32[:] = pose
             uniform = world * judged / (1.0 - judged)
-            one_pass(pose32, np.float32(sigma), uniform, False, source, target, planar, work, total)
+            one_pass(pose32, np.float32(sigma), uniform, source, target, kind, work, total)
             ends[s, END_SIGMA] = sigma
             ends[s, END_UNMATCHED] = unmatched
             ends[s, END_LIKELIHOOD] = total[TOTAL_LIKELIHOOD]

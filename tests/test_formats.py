@@ -177,6 +177,8 @@ def test_tum_trimmed_copies_are_read(tum):
         ("depth.txt", "100.000000 depth/100.000000.png", "100.000000", r"depth\.txt:3: expected 'timestamp path'"),
         ("depth.txt", "100.000000 depth", "soon depth", r"depth\.txt:3: expected 1 numbers, got 'soon'"),
         ("depth.txt", "depth/100.000000.png", "../outside.png", r"depth\.txt:3: .* leads out of the recording"),
+        ("rgb.txt", "rgb/99.996000.png", "rgb/\0.png", r"rgb\.txt:3: .* is not a path that can be used"),
+        ("rgb.txt", "rgb/99.996000.png", "r" * 5000, r"rgb\.txt:3: .* is not a path that can be used"),
         ("rgb.txt", "rgb/99.996000.png", "/etc/hostname", r"rgb\.txt:3: .* leads out of the recording"),
         ("groundtruth.txt", "99.970000 ", "99.970000 1 ", r"groundtruth\.txt:2: expected 8 numbers, got 9"),
         ("groundtruth.txt", "99.970000 ", "nan ", r"groundtruth\.txt:2: expected finite numbers"),

@@ -1,5 +1,6 @@
 """The Xtion reader, and the registration of depth to colour that it needs."""
 
+import cv2
 import numpy as np
 import pytest
 import scipy.io
@@ -87,9 +88,15 @@ def spoil(path, **variables):
     [
         ("images/depth2_2.mat", lambda p: p.unlink(), r"depth2_2\.mat: the file is missing"),
         ("images/depth2_2.mat", lambda p: p.write_bytes(p.read_bytes()[:300]), "cut off"),
-        ("images/depth2_2.mat", lambda p: p.write_bytes(b""), "not a MATLAB file|cut off"),
+        ("images/depth2_2.mat", lambda p: p.write_bytes(b""), "not a MATLAB file of level 5"),
+        ("images/depth2_2.mat", lambda p: spoil(p, depth_array={"a": 1.0}), "got a structure"),
         ("images/depth2_2.mat", lambda p: spoil(p, other=1), "no variable 'depth_array'"),
         ("images/depth2_2.mat", lambda p: spoil(p, depth_array=np.zeros((3, 3))), r"expected \(H, W\) uint16"),
+        (
+            "images/rgb_image2_2.png",
+            lambda p: cv2.imwrite(str(p), np.zeros((9, 9, 3), np.uint8)),
+            "expected 160x120 pix",
+        ),
         ("images/rgb_image2_2.png", lambda p: p.unlink(), r"rgb_image2_2\.png: the image is missing"),
     ],
 )
@@ -103,8 +110,8 @@ def test_damaged_files(xtion, file, damage, match):
 @pytest.mark.parametrize(
     "values, match",
     [
-        ({"cam_params": {"Kdepth": np.eye(3)}}, "cam_params: expected Kdepth, Krgb, R and T"),
-        ({"cam_params": 3.0}, "cam_params: expected Kdepth, Krgb, R and T"),
+        ({"cam_params": {"Kdepth": np.eye(3)}}, r"cam_params: expected Kdepth, Krgb, R \(3x3\) and T \(3\)"),
+        ({"cam_params": 3.0}, r"cam_params: expected Kdepth, Krgb, R \(3x3\) and T \(3\)"),
         ({"other": 3.0}, "no variable 'cam_params'"),
     ],
 )

@@ -20,10 +20,15 @@ def inside(root: Path, relative: str, where: str) -> Path:
 
     Raises
     ------
-    RecordingError  starting with `where`, if the path is absolute, climbs out, or is a link that leads out.
+    RecordingError  starting with `where`, if the path is absolute, climbs out, is a link that leads out, or is no path.
     """
     path = root / relative
-    if Path(relative).is_absolute() or not path.resolve().is_relative_to(root.resolve()):
+    try:
+        path.exists()
+        outside = Path(relative).is_absolute() or not path.resolve().is_relative_to(root.resolve())
+    except (OSError, ValueError) as problem:  # too long, a NUL byte, links in a circle
+        raise RecordingError(f"{where}: {relative[:80]!r} is not a path that can be used: {problem}") from problem
+    if outside:
         raise RecordingError(f"{where}: {relative!r} leads out of the recording folder {root}; move the file into it")
     return path
 
@@ -50,9 +55,10 @@ def read_depth(path: Path) -> np.ndarray:
 
 def image_size(path: Path) -> tuple[int, int]:
     """(width, height) of a PNG file, from its header."""
-    header = _bytes(path, 24)
-    if len(header) < 24 or not header.startswith(PNG_SIGNATURE):
-        raise RecordingError(f"{path}: expected a PNG image, it is something else or cut off")
+    header = _bytes(path, 33)  # the signature and the first chunk, IHDR, with its checksum
+    checksum = int.from_bytes(header[29:], "big")
+    if len(header) < 33 or not header.startswith(PNG_SIGNATURE) or zlib.crc32(header[12:29]) != checksum:
+        raise RecordingError(f"{path}: expected a PNG image, it is something else or damaged")
     return int.from_bytes(header[16:20], "big"), int.from_bytes(header[20:24], "big")
 
 

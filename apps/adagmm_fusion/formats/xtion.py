@@ -15,10 +15,10 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-import scipy.io
 
 from adagmm_fusion.depth_registration import register_depth
 from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.formats.matlab_file import read_variable
 from adagmm_fusion.formats.options import ReadOptions, intrinsics_from_matrix
 from adagmm_fusion.formats.text_table import parse_pose, read_matrix
 from adagmm_fusion.frame_sequence import FrameEntry, PairEntry, Recording
@@ -79,7 +79,14 @@ def _load(
     depth_scale: float,
 ) -> RGBDFrame:
     color = read_color(color_path)
-    stored = _read_mat(depth_path, "depth_array")
+    if color.shape[:2] != (intrinsics.height, intrinsics.width):
+        wanted = f"{intrinsics.width}x{intrinsics.height}"
+        raise RecordingError(
+            f"{color_path}: expected {wanted} pixels, as the intrinsics, got {color.shape[1]}x{color.shape[0]}"
+        )
+    stored = read_variable(depth_path, "depth_array")
+    if not isinstance(stored, np.ndarray):
+        raise RecordingError(f"{depth_path}: depth_array: expected (H, W) uint16, got a structure")
     if stored.dtype != np.uint16 or stored.ndim != 2:
         raise RecordingError(f"{depth_path}: depth_array: expected (H, W) uint16, got {stored.shape} {stored.dtype}")
     depth_intrinsics = intrinsics_from_matrix(K_depth, stored.shape[::-1], depth_path)
@@ -87,28 +94,19 @@ def _load(
     return checked_frame(depth_path, name, color, depth, intrinsics, depth_scale, sensor)
 
 
-def _read_mat(path: Path, variable: str):
-    if not path.is_file():
-        raise RecordingError(f"{path}: the file is missing")
-    try:
-        return scipy.io.loadmat(path, squeeze_me=True, struct_as_record=False, variable_names=[variable])[variable]
-    except KeyError:
-        raise RecordingError(f"{path}: there is no variable {variable!r} in it") from None
-    except Exception as problem:  # scipy raises whatever its parser stumbles over
-        raise RecordingError(f"{path}: not a MATLAB file that can be read, or cut off: {problem}") from problem
-
-
 def _read_calibration(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """K_depth, K_color, T_color_depth."""
-    parameters = _read_mat(path, "cam_params")
+    parameters = read_variable(path, "cam_params")
+    shapes = {"Kdepth": (3, 3), "Krgb": (3, 3), "R": (3, 3), "T": (3,)}
+    if not isinstance(parameters, dict) or any(np.squeeze(parameters.get(k, 0)).shape != s for k, s in shapes.items()):
+        raise RecordingError(f"{path}: cam_params: expected Kdepth, Krgb, R (3x3) and T (3)")
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = parameters["R"], np.squeeze(parameters["T"])
     try:
-        K_depth, K_color = parameters.Kdepth, parameters.Krgb
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = parameters.R, parameters.T
-        return K_depth, K_color, checked_rigid_transformation(T, "cam_params R, T")
-    except (AttributeError, ValueError) as problem:
-        message = str(problem) if isinstance(problem, InputError) else "cam_params: expected Kdepth, Krgb, R and T"
-        raise RecordingError(f"{path}: {message}") from problem
+        T = checked_rigid_transformation(T, "cam_params R, T")
+    except InputError as problem:
+        raise RecordingError(f"{path}: {problem}") from problem
+    return parameters["Kdepth"], parameters["Krgb"], T
 
 
 def _sensor_poses(reference: Path, sensors: list[int], options: ReadOptions) -> dict[int, np.ndarray | None]:

@@ -24,6 +24,10 @@ def threads(_):
     return os.environ["NUMBA_NUM_THREADS"], os.environ["OMP_NUM_THREADS"]
 
 
+def cores(_):
+    return tuple(os.sched_getaffinity(0))
+
+
 def die_once(task):
     """Ends its process the first time it sees this task, by a file that remembers."""
     folder, name = task
@@ -73,6 +77,14 @@ def test_an_error_is_a_failure_in_one_line_and_others_go_on():
 
 def test_workers_have_one_kernel_thread():
     assert dict(run_tasks(threads, {"a": 0}, workers=1)) == {"a": ("1", "1")}
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="this system does not tie processes to cores")
+def test_workers_keep_to_one_core_each():
+    before = os.sched_getaffinity(0)
+    results = dict(run_tasks(cores, {str(i): i for i in range(12)}, workers=2))
+    assert all(len(cores) == 1 for cores in results.values())
+    assert os.sched_getaffinity(0) == before
 
 
 def test_a_worker_that_dies_loses_nothing(tmp_path):

@@ -3,16 +3,18 @@
     for key, result in run_tasks(function, {"a": task_a, "b": task_b}, scheduler="tcp://10.0.0.1:8786"):
         ...                                   # as each ends, in any order; a TaskFailure where there is no result
 
-`function` must be importable by its name, tasks and results must pickle. Local workers are spawned, with one kernel
-thread each, so that a result does not depend on how many there are. On a cluster every worker needs this package, and
-files at the same paths.
+`function` must be importable by its name, tasks and results must pickle. A worker keeps to one thread and one core: a
+library that adds up in parallel gives other last digits on every run. On a cluster every worker needs this package, and
+files at the same paths; start its workers with --nthreads 1.
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 import signal
+import sys
 import traceback
 import uuid
 from collections import Counter, deque
@@ -81,10 +83,12 @@ class _Worker:
 def _run_locally(function: Callable, tasks: Mapping[str, Any], count: int) -> Iterator[tuple[str, Any]]:
     waiting, deaths = deque(tasks), Counter()
     crew: list[_Worker] = []
+    started = 0
     try:
         while waiting or any(worker.key is not None for worker in crew):
             while len(crew) < min(count, len(waiting) + sum(worker.key is not None for worker in crew)):
-                crew.append(_start_worker(function))
+                crew.append(_start_worker(function, index=started))
+                started += 1
             for worker in crew:
                 if worker.started and worker.key is None and waiting:
                     worker.key = waiting.popleft()
@@ -134,11 +138,11 @@ def _bury(worker: _Worker, deaths: Counter) -> TaskFailure | None:
     return TaskFailure(f"its worker died {MAX_DEATHS} times, exit code {worker.process.exitcode}")
 
 
-def _start_worker(function: Callable) -> _Worker:
+def _start_worker(function: Callable, index: int) -> _Worker:
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_serve, args=(theirs, function), daemon=True)
-    with _environment(ONE_THREAD):
+    with _environment(ONE_THREAD), _one_core(index):
         process.start()
     theirs.close()  # so that the worker's death reads as the end of the pipe
     return _Worker(process, ours)
@@ -159,6 +163,23 @@ def _serve(connection: Connection, function: Callable) -> None:
             result = _failure(error)
         with suppress(BrokenPipeError):  # the parent has gone; the next read says so
             connection.send(result)
+
+
+@contextmanager
+def _one_core(index: int):
+    """Processes started within keep to one of the cores this one may use, where the system can do that.
+
+    Threading Building Blocks, inside Open3D, takes its number of threads from there when it is loaded.
+    """
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    cores = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, {cores[index % len(cores)]})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)
 
 
 @contextmanager
@@ -187,7 +208,10 @@ def _run_on_cluster(function: Callable, tasks: Mapping[str, Any], address: str) 
         raise SchedulerError(f"scheduler: no Dask scheduler answers at {address} ({error})") from error
     with client:
         run = uuid.uuid4().hex  # a cluster keeps results by key: two runs must not share them
-        futures = {client.submit(function, task, key=f"{key}-{run}", pure=False): key for key, task in tasks.items()}
+        futures = {
+            client.submit(pickle.loads, _as_bytes(function, task), key=f"{key}-{run}", pure=False): key
+            for key, task in tasks.items()
+        }
         for future in as_completed(list(futures), loop=client.loop):
             key = futures.pop(future)
             if future.status == "finished":
@@ -197,6 +221,47 @@ def _run_on_cluster(function: Callable, tasks: Mapping[str, Any], address: str) 
             else:
                 left = len(futures) + 1
                 raise SchedulerError(f"scheduler: lost {address} with {left} tasks left; run again to go on")
+
+
+class _Call:
+    """Unpickling it is calling `_call_on_cluster`, which travels as code."""
+
+    def __init__(self, call: bytes) -> None:
+        self._call = call
+
+    def __reduce__(self):
+        return _call_on_cluster, (self._call, ONE_THREAD)
+
+
+def _as_bytes(function: Callable, task: Any) -> bytes:
+    """A call that a cluster's worker makes by `pickle.loads`.
+
+    Nothing of this package may be imported there before the worker keeps to one core: Threading Building Blocks, inside
+    Open3D, decides on its threads when it is loaded. A function sent to Dask by its name would be imported first.
+    """
+    import cloudpickle
+
+    this = sys.modules[__name__]
+    cloudpickle.register_pickle_by_value(this)
+    try:
+        return cloudpickle.dumps(_Call(pickle.dumps((function, task))))
+    finally:
+        cloudpickle.unregister_pickle_by_value(this)
+
+
+def _call_on_cluster(call: bytes, environment: Mapping[str, str]) -> Any:
+    """Make a cluster's worker like a local one, then call. Its process id chooses its core: its place is not known."""
+    import os
+    import pickle
+
+    os.environ.update(environment)
+    if hasattr(os, "sched_setaffinity"):
+        cores = sorted(os.sched_getaffinity(os.getpid()))
+        core = {cores[os.getpid() % len(cores)]}
+        os.sched_setaffinity(0, core)
+        os.sched_setaffinity(os.getpid(), core)  # the main thread: Threading Building Blocks looks there
+    function, task = pickle.loads(call)
+    return function(task)
 
 
 def _failure(error: BaseException) -> TaskFailure:

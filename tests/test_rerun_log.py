@@ -9,7 +9,6 @@ import pytest
 import rerun as rr
 from registered_scene import INTRINSICS, ITERATIONS, known_estimate, room_clouds, room_pair
 from rerun.chunk import RrdReader
-from viewer import RERUN
 
 from adagmm_fusion.errors import OutputError
 from adagmm_fusion.frames import PinholeIntrinsics, RGBDFrame, RGBDPair
@@ -26,6 +25,7 @@ from adagmm_fusion.rerun_log import (
     log_refused_pair,
     open_stream,
 )
+from adagmm_fusion.rerun_log.picture import RERUN
 
 MEGABYTE = 1e6
 
@@ -132,16 +132,13 @@ def test_files_verify_and_leave_nothing_beside_them(one_pair, three_pairs):
 
 
 def test_entities_of_a_pair(one_pair):
-    expected = {f"/metrics/{m}" for m in ("energy", "sigma", "rotation_error_deg", "translation_error_mm")}
-    expected |= {
-        f"/world/{w}" for w in ("target", "source", "initial/source", "truth/source", "difference", "unobservable")
-    }
-    for sensor in ("target", "source"):
-        expected |= {
-            f"/world/{sensor}/{e}" for e in ("points", "covariances", "mesh", "image", "image/rgb", "image/depth")
-        }
-    expected |= {"/world/target/image/overlay", "/world/target/image/checkerboard", "/report", "/log", "/world"}
-    expected |= {"/world/truth/source/image", "/world/initial/source/image", "/diagnostics/residual_histogram"}
+    below_sensor = ("points", "covariances", "mesh", "shape", "image", "image/rgb", "image/depth")
+    expected = {f"/world/{sensor}/{entity}" for sensor in ("target", "source") for entity in below_sensor}
+    expected |= {f"/metrics/{m}" for m in ("energy", "sigma", "rotation_error_deg", "translation_error_mm")}
+    expected |= {f"/world/{w}" for w in ("target", "source", "initial/source", "initial/source/shape")}
+    expected |= {f"/world/{w}" for w in ("truth/source", "truth/source/image", "initial/source/image", "difference")}
+    expected |= {"/world", "/world/unobservable", "/world/target/image/overlay", "/world/target/image/checkerboard"}
+    expected |= {"/report", "/log", "/diagnostics/residual_histogram"}
     assert expected <= set(RrdReader(one_pair).store().schema().entity_paths())
 
 
@@ -168,9 +165,8 @@ def test_clouds_are_logged_once_in_their_own_frame(one_pair):
 def test_every_layer_has_a_color_for_every_point(one_pair):
     source, target = room_clouds()
     for entity, cloud, layers in (
-        ("source", source, ("Shape", "WeightShare", "ResidualMm", "Overlap")),
-        ("target", target, ("Shape", "Dimmed")),
-        ("initial/source", source, ("Shape",)),
+        ("source", source, ("WeightShare", "ResidualMm", "Overlap")),
+        ("target", target, ("Dimmed",)),
     ):
         for layer in layers:
             (colors,) = rows(one_pair, f"world/{entity}/points", f"{layer}:colors").values
@@ -217,6 +213,17 @@ def test_mesh_carries_the_texture(one_pair):
     assert bytes(buffer[0]) == room_pair().source.color.tobytes()
     (uvs,) = rows(one_pair, "world/source/mesh", "Mesh3D:vertex_texcoords").values
     assert np.min(uvs) >= 0.0 and np.max(uvs) <= 1.0
+
+
+def test_shapes_before_and_after_are_the_same_in_one_color_each(one_pair):
+    positions = [
+        rows(one_pair, f"world/{entity}/shape", "Mesh3D:vertex_positions").values[0]
+        for entity in ("source", "initial/source", "target")
+    ]
+    assert positions[0] == positions[1] != positions[2]
+    (colors,) = rows(one_pair, "world/source/shape", "Mesh3D:vertex_colors").values
+    red, green, blue = (np.array(colors, np.uint32) >> shift & 255 for shift in (24, 16, 8))
+    assert len(colors) == len(positions[0]) and (red > green).all() and (green > blue).all()
 
 
 def test_blueprint_travels_with_the_file(one_pair, three_pairs):
@@ -314,7 +321,13 @@ def test_callback_of_a_script(tmp_path):
     np.testing.assert_allclose(T, estimate.transformations, rtol=1e-6, atol=1e-6)
     sigmas = rows(path, "metrics/sigma", "Scalars:scalars", "iteration")
     np.testing.assert_allclose(np.ravel(sigmas.values), estimate.sigmas, rtol=1e-12, atol=0.0)
-    assert len(rows(path, "world/source/points", "Points3D:positions").values) == 1
+    for entity, n in (
+        ("source", len(source.points)),
+        ("initial/source", len(source.points)),
+        ("target", len(target.points)),
+    ):
+        assert [len(p) for p in rows(path, f"world/{entity}/points", "Points3D:positions").values] == [n]
+        assert [len(c) for c in rows(path, f"world/{entity}/points", "Shape:colors").values] == [n]
     assert len(RrdReader(path).blueprints()) == 1
 
 

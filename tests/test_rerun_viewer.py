@@ -2,10 +2,11 @@
 
 import argparse
 
+import cv2
 import numpy as np
 import pytest
 from registered_scene import ITERATIONS, known_estimate, room_clouds, room_pair
-from viewer import complaints, headless_viewer, needs_viewer, screenshot
+from viewer import complaints, needs_viewer, screenshot
 
 from adagmm_fusion.rerun_log import (
     Eye,
@@ -17,6 +18,7 @@ from adagmm_fusion.rerun_log import (
     log_refused_pair,
     open_stream,
 )
+from adagmm_fusion.rerun_log.picture import headless_viewer, main, show_page
 
 pytestmark = needs_viewer
 RESULT = "Result: cameras truth green, estimate orange, start blue"
@@ -102,8 +104,9 @@ def test_texture_is_visible_and_the_clouds_have_their_two_colors(pair_viewer):
 def test_why_page(tmp_path):
     path = tmp_path / "why.rrd"
     estimate = known_estimate(off=(0.3, 0.0, 0.0))
-    save(path, lambda rec: log_pair(rec, room_pair(), *room_clouds(), estimate), page="Why")
+    save(path, lambda rec: log_pair(rec, room_pair(), *room_clouds(), estimate))
     with headless_viewer(path) as viewer:
+        show_page(viewer, "Why")
         screenshot(viewer)
         weights = screenshot(viewer, "Who pulls: share of the pair weights")
         residuals = screenshot(viewer, "How far off: residual")
@@ -130,8 +133,8 @@ def test_many_pairs(tmp_path):
         (recording,) = viewer.get_state().recordings
         assert recording.current_timeline == "frame"
         assert complaints(viewer) == []
-    path = save(tmp_path / "pairs.rrd", log, many_pairs=True, page="Pair")
-    with headless_viewer(path) as viewer:
+        show_page(viewer, "Pair")
+        screenshot(viewer)
         pictures = []
         for frame in (0, 1, 2):
             viewer.set_time("frame", sequence=frame, play_state="paused")
@@ -146,3 +149,22 @@ def test_many_pairs(tmp_path):
         assert complaints(viewer) == []
     assert difference(pictures[0], pictures[1]) > 0.05
     assert np.mean(np.ptp(pictures[2], axis=2) > 60) < 0.002  # nothing of the pair before is left
+
+
+def test_picture_command(tmp_path, capfd):
+    path = save(tmp_path / "pair.rrd", lambda rec: log_pair(rec, room_pair(), *room_clouds(), known_estimate()))
+    out = tmp_path / "pair.jpg"
+    assert main([str(path), str(out), "--time", "iteration=0", "--width", "800"]) == 0
+    assert cv2.imread(str(out)).shape[1] == 800
+    capfd.readouterr()
+    for arguments, message in (
+        ([str(tmp_path / "none.rrd"), str(out)], "none.rrd: no such Rerun recording"),
+        (
+            [str(path), str(out), "--time", "iteration"],
+            "--time: expected TIMELINE=N as in iteration=0, got 'iteration'",
+        ),
+        ([str(path), str(tmp_path / "pair.txt")], "pair.txt: expected a name ending in .jpg or .png"),
+    ):
+        assert main(arguments) == 1
+        assert capfd.readouterr().err.splitlines()[-1].endswith(message)
+    assert {p.name for p in tmp_path.iterdir()} == {"pair.rrd", "pair.jpg"}

@@ -1,5 +1,7 @@
 """What the viewer opens with, as one value: before and after, the result, the curves, the images, the report."""
 
+from collections.abc import Mapping
+
 import rerun as rr
 import rerun.blueprint as rrb
 
@@ -11,6 +13,8 @@ from adagmm_fusion.rerun_log.views import DEFAULT_EYE, Eye, bars, curve, image, 
 
 LEGEND_BOUNDS = rrb.VisualBounds2D(x_range=(-40, STRIP[1] + 40), y_range=(-4, STRIP[0] + 24))
 SENSORS = (TARGET, SOURCE, INITIAL_SOURCE, TRUE_SOURCE)
+BEFORE = dict.fromkeys((TARGET.shape, INITIAL_SOURCE.shape))
+AFTER = dict.fromkeys((TARGET.shape, SOURCE.shape))
 COVARIANCES = {TARGET.points: DIMMED, TARGET.covariances: None, SOURCE.covariances: None}
 MARKS = (entities.DIFFERENCE, entities.UNOBSERVABLE)
 RESULT = dict.fromkeys((TARGET.mesh, SOURCE.mesh, *(sensor.image for sensor in SENSORS), *MARKS))
@@ -37,7 +41,9 @@ def script_dashboard(*, eye: Eye = DEFAULT_EYE, with_truth: bool = False) -> rrb
     else:
         curves.append(curve("Fitness", entities.FITNESS))
         curves.append(curve("Inlier RMSE", entities.INLIER_RMSE))
-    body = rrb.Vertical(_before_and_after(eye), rrb.Horizontal(*curves), row_shares=[2, 1])
+    before = {TARGET.points: SHAPE, INITIAL_SOURCE.points: SHAPE}
+    after = {TARGET.points: SHAPE, SOURCE.points: SHAPE}
+    body = rrb.Vertical(_before_and_after(before, after, eye), rrb.Horizontal(*curves), row_shares=[2, 1])
     return _blueprint(body, entities.ITERATION)
 
 
@@ -57,16 +63,13 @@ def send_blueprint(rec: rr.RecordingStream, *, many_pairs: bool = False, eye: Ey
     rec.send_blueprint(dashboard(many_pairs=many_pairs, eye=eye))
 
 
-def _before_and_after(eye: Eye) -> rrb.Horizontal:
-    return rrb.Horizontal(
-        scene("Before: target blue, source orange", {TARGET.points: SHAPE, INITIAL_SOURCE.points: SHAPE}, eye),
-        scene("After", {TARGET.points: SHAPE, SOURCE.points: SHAPE}, eye),
-    )
+def _before_and_after(before: Mapping[str, str | None], after: Mapping[str, str | None], eye: Eye) -> rrb.Horizontal:
+    return rrb.Horizontal(scene("Before: target blue, source orange", before, eye), scene("After", after, eye))
 
 
 def _overview(eye: Eye) -> rrb.Horizontal:
     scenes = rrb.Vertical(
-        _before_and_after(eye),
+        _before_and_after(BEFORE, AFTER, eye),
         rrb.Horizontal(
             scene("Result: cameras truth green, estimate orange, start blue", RESULT, eye.with_sensors()),
             scene("Covariances σ·Σ", COVARIANCES, eye),

@@ -47,7 +47,12 @@ def shaded_colors(cloud: o3d.geometry.PointCloud, color) -> np.ndarray:
     """(N, 3) uint8: one colour for the whole cloud, lit from above to show its shape; flat without normals."""
     if not cloud.has_normals():
         return np.tile(np.uint8(color), (len(cloud.points), 1))
-    lit = AMBIENT + (1.0 - AMBIENT) * np.abs(np.asarray(cloud.normals) @ LIGHT)
+    return lit_colors(np.asarray(cloud.normals), color)
+
+
+def lit_colors(normals: np.ndarray, color) -> np.ndarray:
+    """(N, 3) uint8: a colour as it looks on surfaces with these unit normals (N, 3), of either sign."""
+    lit = AMBIENT + (1.0 - AMBIENT) * np.abs(normals @ LIGHT)
     return np.clip(lit[:, None] * np.asarray(color, dtype=np.float64), 0, 255).astype(np.uint8)
 
 

@@ -77,6 +77,10 @@ class Sensor:
         return f"{self.root}/mesh"
 
     @property
+    def shape(self) -> str:
+        return f"{self.root}/shape"
+
+    @property
     def covariances(self) -> str:
         return f"{self.root}/covariances"
 

@@ -7,7 +7,7 @@ import rerun as rr
 from adagmm_fusion.frames import RGBDPair
 from adagmm_fusion.rerun_log import entities
 from adagmm_fusion.rerun_log.cameras import log_frustum, log_images, log_pose
-from adagmm_fusion.rerun_log.clouds import DIMMED, SHAPE, log_points, own_colors, shaded_colors
+from adagmm_fusion.rerun_log.clouds import DIMMED, log_points, own_colors, shaded_colors
 from adagmm_fusion.rerun_log.colors import (
     DIMMED_TARGET_COLOR,
     INITIAL_COLOR,
@@ -22,7 +22,7 @@ from adagmm_fusion.rerun_log.ellipsoids import log_covariances
 from adagmm_fusion.rerun_log.entities import INITIAL_SOURCE, SOURCE, TARGET, TRUE_SOURCE
 from adagmm_fusion.rerun_log.iterations import log_curve_styles, log_estimate_iterations
 from adagmm_fusion.rerun_log.legends import log_legends, log_residual_histogram, why_layers
-from adagmm_fusion.rerun_log.meshes import log_textured_mesh
+from adagmm_fusion.rerun_log.meshes import log_shape_mesh, log_textured_mesh, surface_of
 from adagmm_fusion.rerun_log.messages import log_messages
 from adagmm_fusion.rerun_log.overlay import log_overlay
 from adagmm_fusion.rerun_log.verdict import DEFAULT_LIMITS, Limits, pair_report
@@ -116,10 +116,14 @@ def _log_sensors(rec, pair: RGBDPair, T_initial: np.ndarray, when: When) -> None
     log_pose(rec, TARGET, np.eye(4), when)
     log_pose(rec, INITIAL_SOURCE, T_initial, when)
     log_frustum(rec, INITIAL_SOURCE, pair.source.intrinsics, INITIAL_COLOR, when)
-    for sensor, frame, color in ((TARGET, pair.target, TARGET_CAMERA_COLOR), (SOURCE, pair.source, SOURCE_COLOR)):
-        log_frustum(rec, sensor, frame.intrinsics, color, when)
+    log_frustum(rec, TARGET, pair.target.intrinsics, TARGET_CAMERA_COLOR, when)
+    log_frustum(rec, SOURCE, pair.source.intrinsics, SOURCE_COLOR, when)
+    for sensor, frame, color in ((TARGET, pair.target, TARGET_COLOR), (SOURCE, pair.source, SOURCE_COLOR)):
         log_images(rec, sensor, frame, when)
-        log_textured_mesh(rec, sensor.mesh, frame, when)
+        surface = surface_of(frame)
+        log_textured_mesh(rec, sensor.mesh, frame, surface, when)
+        log_shape_mesh(rec, sensor.shape, surface, color, when)
+    log_shape_mesh(rec, INITIAL_SOURCE.shape, surface, SOURCE_COLOR, when)
     if pair.T_target_source is None:
         when.clear(rec, TRUE_SOURCE.root)
     else:
@@ -128,14 +132,10 @@ def _log_sensors(rec, pair: RGBDPair, T_initial: np.ndarray, when: When) -> None
 
 
 def _log_clouds(rec, source, target, estimate, diagnostics: PointDiagnostics | None, when: When) -> None:
-    target_shape, source_shape = shaded_colors(target, TARGET_COLOR), shaded_colors(source, SOURCE_COLOR)
-    dim = shaded_colors(target, DIMMED_TARGET_COLOR)
-    log_points(
-        rec, TARGET.points, np.asarray(target.points), own_colors(target), when, {SHAPE: target_shape, DIMMED: dim}
-    )
-    log_points(rec, INITIAL_SOURCE.points, np.asarray(source.points), own_colors(source), when, {SHAPE: source_shape})
-    layers = {SHAPE: source_shape} | why_layers(diagnostics, len(source.points))
-    log_points(rec, SOURCE.points, np.asarray(source.points), own_colors(source), when, layers)
+    dimmed = {DIMMED: shaded_colors(target, DIMMED_TARGET_COLOR)}
+    log_points(rec, TARGET.points, np.asarray(target.points), own_colors(target), when, dimmed)
+    why = why_layers(diagnostics, len(source.points))
+    log_points(rec, SOURCE.points, np.asarray(source.points), own_colors(source), when, why)
     if diagnostics is not None:
         log_legends(rec, diagnostics, when)
         log_residual_histogram(rec, diagnostics, when)

@@ -82,8 +82,8 @@ def _renamed_when_complete(path: Path) -> Iterator[Path]:
 @contextlib.contextmanager
 def _serve_on_loopback(port: int | None) -> Iterator[tuple[str, subprocess.Popen]]:
     """Rerun's own server and web viewer, bound to loopback: the SDK's `serve_grpc` would bind to every interface."""
-    grpc_port = _free_port() if port is None else port
-    web_port = _free_port()
+    grpc_port = free_port() if port is None else port
+    web_port = free_port()
     command = [sys.executable, "-m", "rerun_cli", "--serve-web", "--bind", LOOPBACK, "--port", str(grpc_port)]
     command += ["--web-viewer-port", str(web_port)]
     terminate = signal.signal(signal.SIGTERM, _exit)  # so that the server does not outlive us
@@ -103,7 +103,8 @@ def _exit(signal_number, _frame) -> None:
     sys.exit(128 + signal_number)
 
 
-def _free_port() -> int:
+def free_port() -> int:
+    """A TCP port on loopback that nothing listens on."""
     with socket.socket() as probe:
         probe.bind((LOOPBACK, 0))
         return probe.getsockname()[1]

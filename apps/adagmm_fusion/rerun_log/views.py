@@ -39,8 +39,8 @@ class Eye:
     def with_sensors(self) -> "Eye":
         """The same view from a little farther away, aimed so that the sensors are in it as well."""
         position, center = np.array(self.position), np.array(self.look_target)
-        between = 0.7 * center
-        return Eye(tuple(map(float, between + 1.2 * (position - center))), tuple(map(float, between)))
+        between = 0.6 * center
+        return Eye(tuple(map(float, between + 1.05 * (position - center))), tuple(map(float, between)))
 
     def controls(self) -> rrb.EyeControls3D:
         return rrb.EyeControls3D(

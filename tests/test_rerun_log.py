@@ -266,6 +266,14 @@ def test_frames_show_results_and_em_steps_run_through_all_pairs(three_pairs):
     assert [len(p) for p in points.values] == [len(room_clouds(frame)[0].points) for frame in (0, 1)]
 
 
+def test_charts_hold_the_curve_of_the_pair(three_pairs):
+    charts = rows(three_pairs, "charts/rotation_error_deg", "BarChart:values", "frame")
+    assert charts.times.tolist() == [0, 1]
+    for frame, chart in enumerate(charts.values):
+        expected = np.linspace(15.0 + 5.0 * frame, 0.0, ITERATIONS + 1)
+        np.testing.assert_allclose(chart[0]["buffer"], expected, rtol=1e-6, atol=1e-5)
+
+
 def test_a_refused_pair_hides_the_one_before(three_pairs):
     cleared = rows(three_pairs, "world", "Clear:is_recursive", "frame")
     assert (cleared.times.tolist(), cleared.values) == ([2], [[True]])

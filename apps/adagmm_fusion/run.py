@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import os
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,9 @@ from adagmm_fusion.rerun_log import (
     SummaryRow,
     dashboard,
     log_pair,
+    log_recording_properties,
     log_recording_summary,
+    log_refused_pair,
     open_stream,
     send_blueprint,
 )
@@ -128,7 +131,9 @@ class _Viewer:
     def log(self, outcome: PairOutcome) -> None:
         frame_index = self._next_frame
         self._next_frame += 1
-        if outcome.source_cloud is None:  # the summary says why
+        shown_as = {"frame_index": frame_index if self._many else None, "em_step": self._em_step}
+        if outcome.source_cloud is None:
+            self._em_step = log_refused_pair(self._stream, outcome.pair_name, outcome.reason, **shown_as)
             return
         if not self._has_eye:
             self._has_eye = True
@@ -140,8 +145,7 @@ class _Viewer:
             outcome.source_cloud,
             outcome.target_cloud,
             outcome.estimate,
-            frame_index=frame_index if self._many else None,
-            em_step=self._em_step,
+            **shown_as,
             status=outcome.status,
             reason=outcome.reason,
             seconds=outcome.seconds_registration,
@@ -171,6 +175,13 @@ class _Viewer:
 @contextlib.contextmanager
 def _viewer(args: argparse.Namespace, recording: Recording, settings: Settings, pair_count: int):
     with open_stream(args, recording.name, dashboard(many_pairs=pair_count > 1)) as stream:
+        log_recording_properties(
+            stream,
+            recording=str(args.recording),
+            sensors=recording.sensors,
+            calibration=args.calibration,
+            parameters=asdict(settings),
+        )
         yield _Viewer(stream, settings, pair_count)
 
 

@@ -12,6 +12,12 @@ from adagmm_fusion.rerun_log.legends import STRIP
 from adagmm_fusion.rerun_log.views import DEFAULT_EYE, Eye, bars, curve, image, scene
 
 LEGEND_BOUNDS = rrb.VisualBounds2D(x_range=(-40, STRIP[1] + 40), y_range=(-4, STRIP[0] + 24))
+CURVES = {
+    "Energy": entities.ENERGY,
+    "σ [m²]": entities.SIGMA,
+    "Rotation error [°]": entities.ROTATION_ERROR_DEG,
+    "Translation error [mm]": entities.TRANSLATION_ERROR_MM,
+}
 SENSORS = (TARGET, SOURCE, INITIAL_SOURCE, TRUE_SOURCE)
 BEFORE = dict.fromkeys((TARGET.shape, INITIAL_SOURCE.shape))
 AFTER = dict.fromkeys((TARGET.shape, SOURCE.shape))
@@ -25,7 +31,7 @@ def dashboard(*, many_pairs: bool = False, eye: Eye = DEFAULT_EYE, page: str | N
 
     page : "Summary", "Pair" or "Why", to open on another page than the first.
     """
-    pages = [_overview(eye), _why_page(eye)]
+    pages = [_overview(eye, many_pairs), _why_page(eye)]
     if many_pairs:
         pages.insert(0, _summary_page())
     tabs = rrb.Tabs(*pages, active_tab=0 if page is None else [p.name for p in pages].index(page))
@@ -67,19 +73,15 @@ def _before_and_after(before: Mapping[str, str | None], after: Mapping[str, str 
     return rrb.Horizontal(scene("Before: target blue, source orange", before, eye), scene("After", after, eye))
 
 
-def _overview(eye: Eye) -> rrb.Horizontal:
+def _overview(eye: Eye, many_pairs: bool) -> rrb.Horizontal:
+    curves = [bars(n, entities.chart_of(e)) if many_pairs else curve(n, e) for n, e in CURVES.items()]
     scenes = rrb.Vertical(
         _before_and_after(BEFORE, AFTER, eye),
         rrb.Horizontal(
             scene("Result: cameras truth green, estimate orange, start blue", RESULT, eye.with_sensors()),
             scene("Covariances σ·Σ", COVARIANCES, eye),
         ),
-        rrb.Horizontal(
-            curve("Energy", entities.ENERGY),
-            curve("σ [m²]", entities.SIGMA),
-            curve("Rotation error [°]", entities.ROTATION_ERROR_DEG),
-            curve("Translation error [mm]", entities.TRANSLATION_ERROR_MM),
-        ),
+        rrb.Horizontal(*curves),
         row_shares=[5, 5, 3],
     )
     return rrb.Horizontal(scenes, _side(), column_shares=[3, 1], name="Pair")

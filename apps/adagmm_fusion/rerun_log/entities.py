@@ -26,6 +26,8 @@ TRANSLATION_ERROR_MM = f"{METRICS}/translation_error_mm"
 FITNESS = f"{METRICS}/fitness"
 INLIER_RMSE = f"{METRICS}/inlier_rmse"
 
+CHARTS = "charts"
+
 REPORT = "report"
 LOG = "log"
 SUMMARY_TABLE = "summary/table"
@@ -40,6 +42,11 @@ OVERLAP_LEGEND = f"{DIAGNOSTICS}/overlap_legend"
 FRAME = "frame"
 ITERATION = "iteration"
 EM_STEP = "em_step"
+
+
+def chart_of(metric: str) -> str:
+    """Where one pair's whole curve of a metric is, in a recording of many pairs."""
+    return metric.replace(METRICS, CHARTS, 1)
 
 
 @dataclass(frozen=True)

@@ -34,12 +34,20 @@ def log_transformations(rec, entity: str, transformations: np.ndarray, when: Whe
 
 
 def log_curve(rec, entity: str, iterations: np.ndarray, values: np.ndarray, when: When) -> None:
-    """Send one curve; values that are not finite are left out, a gap says more than a spike."""
+    """Send one curve; values that are not finite are left out, a gap says more than a spike.
+
+    Where there are many pairs, a chart of this pair's curve is logged too: on the timeline `frame` a pair is a moment.
+    """
     values = np.asarray(values, dtype=np.float64)
     finite = np.isfinite(values)
-    if finite.any():
-        kept = values[finite]
-        when.send_rows(rec, entity, np.asarray(iterations)[finite], lambda rows: rr.Scalars.columns(scalars=kept[rows]))
+    if not finite.any():
+        when.clear(rec, entities.chart_of(entity))
+        return
+    values, iterations = values[finite], np.asarray(iterations)[finite]
+    when.send_rows(rec, entity, iterations, lambda rows: rr.Scalars.columns(scalars=values[rows]))
+    if when.frame_index is not None:
+        _, color = CURVES[entity]
+        when.log(rec, entities.chart_of(entity), rr.BarChart(values, abscissa=iterations - 0.5, color=color))
 
 
 def log_estimate_iterations(rec, estimate, T_truth: np.ndarray | None, when: When | None = None) -> int:
@@ -61,11 +69,11 @@ def log_estimate_iterations(rec, estimate, T_truth: np.ndarray | None, when: Whe
     after_each = np.arange(1, len(transformations))
     log_curve(rec, entities.ENERGY, after_each, estimate.energies, when)
     log_curve(rec, entities.SIGMA, after_each, estimate.sigmas, when)
+    angles_deg = distances_mm = np.full(len(transformations), np.nan)
     if T_truth is not None:
         angles_deg, distances_mm = pose_errors(transformations, T_truth)
-        every = np.arange(len(transformations))
-        log_curve(rec, entities.ROTATION_ERROR_DEG, every, angles_deg, when)
-        log_curve(rec, entities.TRANSLATION_ERROR_MM, every, distances_mm, when)
+    log_curve(rec, entities.ROTATION_ERROR_DEG, np.arange(len(transformations)), angles_deg, when)
+    log_curve(rec, entities.TRANSLATION_ERROR_MM, np.arange(len(transformations)), distances_mm, when)
     return len(transformations)
 
 

@@ -76,6 +76,7 @@ def log_pair(
     rows = 1
     if estimate is None:
         log_pose(rec, SOURCE, T_initial, when)
+        when.clear(rec, entities.CHARTS)
     else:
         rows = log_estimate_iterations(rec, estimate, T_truth, when)
     diagnostics = None
@@ -106,6 +107,7 @@ def log_refused_pair(
     when = When(frame_index, em_step)
     when.clear(rec, entities.WORLD)
     when.clear(rec, entities.DIAGNOSTICS)
+    when.clear(rec, entities.CHARTS)
     report = pair_report(name, None, None, status="failed", reason=reason)
     when.log(rec, entities.REPORT, rr.TextDocument(report, media_type=rr.MediaType.MARKDOWN))
     log_messages(rec, name, None, reason, when)

@@ -56,7 +56,10 @@ def render_depth(
         exact.distance.reshape(shape), intrinsics.fx * model.baseline_m, model.edge_disparity_px
     ).ravel()
 
-    lateral = nguyen_lateral_std_px(_incidence(exact, T_world_camera))[:, None] * rng.standard_normal((columns.size, 2))
+    max_incidence = np.deg2rad(model.max_incidence_deg)
+    exact_incidence = _incidence(exact, T_world_camera)
+    lateral = nguyen_lateral_std_px(np.minimum(exact_incidence, max_incidence))[:, None]
+    lateral = lateral * rng.standard_normal((columns.size, 2))
     seen_directions = _ray_directions(columns + lateral[:, 0], rows + lateral[:, 1], T_world_camera, intrinsics)
     seen = scene.cast(T_world_camera[:3, 3], seen_directions)
     depth_m = seen.distance  # the directions have length one along the optical axis
@@ -70,7 +73,7 @@ def render_depth(
     projector = (T_world_camera @ [model.baseline_m, 0.0, 0.0, 1.0])[:3]
     reflecting = np.array([part.returns_infrared for part in scene.parts] + [False])[seen.part]
     missing = edge | ~reflecting | ~scene.visible(seen.points, seen.facet_normals, projector)
-    missing |= incidence > np.deg2rad(model.max_incidence_deg)
+    missing |= (exact_incidence > max_incidence) | (incidence > max_incidence)
     missing |= ~((measured >= model.min_depth_m) & (measured <= model.max_depth_m))
     depth_mm = np.floor(np.where(missing, 0.0, measured) * 1000.0 + 0.5)
     return depth_mm.astype(np.uint16).reshape(shape)

@@ -135,10 +135,11 @@ def test_many_pairs(tmp_path):
         assert complaints(viewer) == []
         show_page(viewer, "Pair")
         screenshot(viewer)
-        pictures = []
+        pictures, images = [], []
         for frame in (0, 1, 2):
             viewer.set_time("frame", sequence=frame, play_state="paused")
             pictures.append(screenshot(viewer, AFTER))
+            images.append(screenshot(viewer, "Target colour"))
             if frame < 2:
                 expected = known_estimate(frame, off=(0.5 * frame, 0.0, 0.0)).transformation
                 np.testing.assert_allclose(resolved_pose(viewer, "world/source"), expected, rtol=1e-5, atol=1e-6)
@@ -148,7 +149,9 @@ def test_many_pairs(tmp_path):
         np.testing.assert_allclose(resolved_pose(viewer, "world/source"), expected, rtol=1e-5, atol=1e-6)
         assert complaints(viewer) == []
     assert difference(pictures[0], pictures[1]) > 0.05
-    assert np.mean(np.ptp(pictures[2], axis=2) > 60) < 0.002  # nothing of the pair before is left
+    for shown in (pictures, images):
+        assert np.mean(np.ptp(shown[1], axis=2) > 60) > 0.05
+        assert np.mean(np.ptp(shown[2], axis=2) > 60) < 0.002  # nothing of the pair before is left
 
 
 def test_picture_command(tmp_path, capfd):

@@ -4,10 +4,11 @@ import numpy as np
 import rerun as rr
 
 from adagmm_fusion.frames import PinholeIntrinsics, RGBDFrame
-from adagmm_fusion.rerun_log.entities import Sensor
+from adagmm_fusion.rerun_log.entities import SOURCE, TARGET, Sensor
 from adagmm_fusion.rerun_log.when import When
 
 JPEG_QUALITY = 90
+BLANK_SIDE = 8
 FRUSTUM_DEPTH = 0.3
 FRUSTUM_LINE_WIDTH = 0.012
 MILLIMETRES_PER_METRE = 1000.0
@@ -16,6 +17,16 @@ MILLIMETRES_PER_METRE = 1000.0
 def transform_archetype(T: np.ndarray) -> rr.Transform3D:
     """A (4, 4) pose of a child in its parent's frame."""
     return rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
+
+
+def log_blank_images(rec, when: When) -> None:
+    """Black in all image views: the viewer goes on showing an encoded image after a `Clear`."""
+    black = rr.Image(np.zeros((BLANK_SIDE, BLANK_SIDE, 3), dtype=np.uint8)).compress(jpeg_quality=JPEG_QUALITY)
+    for entity in (TARGET.rgb, SOURCE.rgb, TARGET.overlay, TARGET.checkerboard):
+        when.log(rec, entity, black)
+    nothing = np.zeros((BLANK_SIDE, BLANK_SIDE), dtype=np.uint16)
+    for entity in (TARGET.depth, SOURCE.depth):
+        when.log(rec, entity, rr.DepthImage(nothing, meter=MILLIMETRES_PER_METRE).compress())
 
 
 def log_pose(rec, sensor: Sensor, T: np.ndarray, when: When) -> None:

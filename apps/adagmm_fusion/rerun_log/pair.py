@@ -6,7 +6,7 @@ import rerun as rr
 
 from adagmm_fusion.frames import RGBDPair
 from adagmm_fusion.rerun_log import entities
-from adagmm_fusion.rerun_log.cameras import log_frustum, log_images, log_pose
+from adagmm_fusion.rerun_log.cameras import log_blank_images, log_frustum, log_images, log_pose
 from adagmm_fusion.rerun_log.clouds import DIMMED, log_points, own_colors, shaded_colors
 from adagmm_fusion.rerun_log.colors import (
     DIMMED_TARGET_COLOR,
@@ -106,6 +106,7 @@ def log_refused_pair(
     """
     when = When(frame_index, em_step)
     when.clear(rec, entities.WORLD)
+    log_blank_images(rec, when)
     when.clear(rec, entities.DIAGNOSTICS)
     when.clear(rec, entities.CHARTS)
     report = pair_report(name, None, None, status="failed", reason=reason)

@@ -5,6 +5,7 @@ import subprocess
 from dataclasses import dataclass
 
 import numpy as np
+import open3d as o3d
 import pytest
 import rerun as rr
 from registered_scene import INTRINSICS, ITERATIONS, known_estimate, room_clouds, room_pair
@@ -26,6 +27,7 @@ from adagmm_fusion.rerun_log import (
     open_stream,
 )
 from adagmm_fusion.rerun_log.picture import RERUN
+from adagmm_o3d import registration_adaptive_gmm
 
 MEGABYTE = 1e6
 
@@ -337,6 +339,28 @@ def test_callback_of_a_script(tmp_path):
         assert [len(p) for p in rows(path, f"world/{entity}/points", "Points3D:positions").values] == [n]
         assert [len(c) for c in rows(path, f"world/{entity}/points", "Shape:colors").values] == [n]
     assert len(RrdReader(path).blueprints()) == 1
+
+
+@pytest.mark.parametrize("kind", ["legacy", "tensor"])
+def test_callback_of_a_real_registration(tmp_path, kind):
+    source, target = room_clouds()
+    if kind == "tensor":
+        source, target = (o3d.t.geometry.PointCloud.from_legacy(cloud) for cloud in (source, target))
+    results = []
+
+    def log(rec):
+        logger = RegistrationLogger(rec, source, target, T_truth=room_pair().T_target_source)
+        results.append(registration_adaptive_gmm(source, target, 0.1, callback_after_iteration=logger))
+
+    path = save(tmp_path / "real.rrd", log)
+    details = results[0].details
+    times, T = poses(path, "iteration")
+    assert times[0] == 0 and times[-1] == details.iterations
+    np.testing.assert_allclose(T[-1], details.transformation, rtol=1e-5, atol=1e-5)
+    sigmas = rows(path, "metrics/sigma", "Scalars:scalars", "iteration")
+    np.testing.assert_allclose(sigmas.values[-1], details.sigma, rtol=1e-9, atol=0.0)
+    degrees = rows(path, "metrics/rotation_error_deg", "Scalars:scalars", "iteration").values
+    assert degrees[0][0] == pytest.approx(15.0, rel=1e-6, abs=0.0) and degrees[-1][0] < 1.0
 
 
 def test_verdict_follows_the_limits(tmp_path):

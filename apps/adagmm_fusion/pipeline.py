@@ -70,6 +70,14 @@ class PairOutcome:
         return None if self.estimate is None else self.estimate.transformation
 
 
+def compile_kernels(device: str) -> None:
+    """Register a small cloud, so that no pair's time holds the compilation, which takes a minute once per machine."""
+    points = np.random.default_rng(0).normal(size=(1500, 3))
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+    cloud.covariances = o3d.utility.Matrix3dVector(np.tile(np.eye(3), (len(points), 1, 1)))
+    registration_adaptive_gmm(cloud, cloud, 0.1, device=device)
+
+
 def run_pairs(
     recording: Recording, settings: Settings, indices: Iterable[int], callback: Callback | None = None
 ) -> Iterator[PairOutcome]:

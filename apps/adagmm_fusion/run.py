@@ -13,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from adagmm_fusion.frame_sequence import Recording
 from adagmm_fusion.fusion import RigEstimate, fused_cloud, save_cloud
 from adagmm_fusion.pair_record import PairRecord, pair_record
-from adagmm_fusion.pipeline import PairOutcome, run_pairs
+from adagmm_fusion.pipeline import PairOutcome, compile_kernels, run_pairs
 from adagmm_fusion.recording import open_recording
 from adagmm_fusion.report import Report, terminal_table, write_report
 from adagmm_fusion.rerun_log import (
@@ -56,7 +56,9 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
     with contextlib.ExitStack() as stack:
         viewer = None if args.no_rerun else stack.enter_context(_viewer(args, recording, settings, len(indices)))
         progress = stack.enter_context(_progress())
-        task = progress.add_task(recording.name, total=len(indices))
+        task = progress.add_task("compiling kernels", total=len(indices))
+        compile_kernels(settings.device)
+        progress.update(task, description=recording.name)
         try:
             for outcome in run_pairs(recording, settings, indices):
                 if viewer is not None:

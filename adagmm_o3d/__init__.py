@@ -1,6 +1,7 @@
 """Robust rigid registration of point clouds as adaptive Gaussian mixtures, in Open3D's terms."""
 
 from .errors import AdaGMMError, DegenerateError, DeviceError, InputError, InputTypeError
+from .forking import keep_working_after_fork
 from .options import TransformationEstimationForAdaptiveGMM
 from .points import register_points
 from .registration import registration_adaptive_gmm
@@ -30,3 +31,5 @@ __all__ = [
     "register_points",
     "registration_adaptive_gmm",
 ]
+
+keep_working_after_fork()

@@ -14,7 +14,7 @@ from .errors import InputError, InputTypeError
 from .options import TransformationEstimationForAdaptiveGMM
 from .points import register_points
 from .result import PointRegistrationResult
-from .tensor_registration import register_tensor_clouds
+from .tensor_registration import check_voxel_size, register_tensor_clouds
 from .uncertainty import estimate_surface_covariances
 
 LegacyResult = o3d.pipelines.registration.RegistrationResult
@@ -35,16 +35,16 @@ def registration_adaptive_gmm(
     init: ArrayLike | o3d.core.Tensor | str | None = None,
     estimation_method: Any = None,
     criteria: Any = None,
+    voxel_size: float = -1.0,
+    callback_after_iteration: Callable[[dict[str, Any]], None] | None = None,
     *,
     init_source_to_target: ArrayLike | o3d.core.Tensor | str | None = None,
-    voxel_size: float = -1.0,
     device: str = "auto",
-    callback_after_iteration: Callable[[dict[str, Any]], None] | None = None,
 ) -> LegacyResult | o3d.t.pipelines.registration.RegistrationResult:
     """Register `source` onto `target` as adaptive Gaussian mixtures; a drop-in for Open3D's ICP and GICP.
 
     Two legacy clouds behave as `o3d.pipelines.registration.registration_generalized_icp`, two tensor clouds as
-    `o3d.t.pipelines.registration.icp`, whose keywords `init_source_to_target` and `voxel_size` are taken as well.
+    `o3d.t.pipelines.registration.icp`, whose keyword `init_source_to_target` is taken as well.
 
     Parameters
     ----------
@@ -76,7 +76,8 @@ def registration_adaptive_gmm(
 
     Source
     ------
-    C. Pu, N. Li, R. B. Fisher: Robust Rigid Point Registration based on Convolution of Adaptive Gaussian Mixture Models.
+    C. Pu, N. Li, R. B. Fisher: Robust Rigid Point Registration based on Convolution of Adaptive Gaussian Mixture
+    Models.
     """
     if init is not None and init_source_to_target is not None:
         raise InputError("init: given twice, as init and as init_source_to_target; give one")
@@ -85,18 +86,16 @@ def registration_adaptive_gmm(
     criteria = _criteria(criteria)
     distance = real_number("max_correspondence_distance", max_correspondence_distance, above=0.0)
     voxel_size = real_number("voxel_size", voxel_size)
+    if callback_after_iteration is not None and not callable(callback_after_iteration):
+        got = type(callback_after_iteration).__name__
+        raise InputTypeError(f"callback_after_iteration: expected a function of one dictionary, got {got}")
     if isinstance(source, o3d.t.geometry.PointCloud) and isinstance(target, o3d.t.geometry.PointCloud):
         return register_tensor_clouds(
             source, target, distance, start, method, criteria, voxel_size, device, callback_after_iteration
         )
-    for name, cloud in (("source", source), ("target", target)):
-        if not isinstance(cloud, o3d.geometry.PointCloud):
-            raise InputTypeError(
-                f"{name}: expected two open3d.geometry.PointCloud or two open3d.t.geometry.PointCloud, "
-                f"got {type(cloud).__name__}"
-            )
+    _check_legacy(source, target)
     if voxel_size > 0:
-        source, target = source.voxel_down_sample(voxel_size), target.voxel_down_sample(voxel_size)
+        source, target = (_thinned(name, cloud, voxel_size) for name, cloud in (("source", source), ("target", target)))
     details = register_points(
         np.asarray(source.points),
         np.asarray(target.points),
@@ -116,6 +115,30 @@ def registration_adaptive_gmm(
     result.correspondence_set = evaluated.correspondence_set
     result.details = details
     return result
+
+
+def _check_legacy(source: Any, target: Any) -> None:
+    """Raise unless both are legacy clouds; that both are tensor clouds has been ruled out."""
+    legacy, tensor = o3d.geometry.PointCloud, o3d.t.geometry.PointCloud
+    for name, cloud in (("source", source), ("target", target)):
+        if not isinstance(cloud, (legacy, tensor)):
+            raise InputTypeError(
+                f"{name}: expected an open3d.geometry.PointCloud or open3d.t.geometry.PointCloud, "
+                f"got {type(cloud).__name__}; for arrays see register_points()"
+            )
+    if isinstance(source, tensor) or isinstance(target, tensor):
+        is_tensor = isinstance(source, tensor)
+        wanted, got = ("open3d.t", "open3d") if is_tensor else ("open3d", "open3d.t")
+        convert = "open3d.t.geometry.PointCloud.from_legacy()" if is_tensor else ".to_legacy()"
+        raise InputTypeError(
+            f"target: expected a {wanted}.geometry.PointCloud as the source is, "
+            f"got a {got}.geometry.PointCloud; convert it with {convert}"
+        )
+
+
+def _thinned(name: str, cloud: o3d.geometry.PointCloud, voxel_size: float) -> o3d.geometry.PointCloud:
+    check_voxel_size(name, np.asarray(cloud.points), voxel_size)
+    return cloud.voxel_down_sample(voxel_size)
 
 
 def legacy_covariances(name: str, cloud: o3d.geometry.PointCloud) -> Array | None:

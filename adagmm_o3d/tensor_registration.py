@@ -20,6 +20,8 @@ TensorCloud = o3d.t.geometry.PointCloud
 TensorResult = o3d.t.pipelines.registration.RegistrationResult
 Callback = Callable[[dict[str, Any]], None]
 
+# Open3D numbers the voxels along an axis in 32 bits.
+MOST_VOXELS = 2.0**31 - 1.0
 INTEGER_KEYS = ("iteration_index", "scale_index", "scale_iteration_index")
 
 
@@ -47,8 +49,13 @@ def register_tensor_clouds(
         )
     for name, cloud in (("source", source), ("target", target)):
         _check_positions(name, cloud)
+    wanted, got = source.point.positions.dtype, target.point.positions.dtype
+    if wanted != got:
+        raise InputTypeError(
+            f"target.point.positions: expected {wanted} as the source has, got {got}; convert with .to()"
+        )
     if voxel_size > 0:
-        source, target = source.voxel_down_sample(voxel_size), target.voxel_down_sample(voxel_size)
+        source, target = _thinned("source", source, voxel_size), _thinned("target", target, voxel_size)
     details = register_points(
         source.point.positions.cpu().numpy(),
         target.point.positions.cpu().numpy(),
@@ -81,6 +88,33 @@ def _check_positions(name: str, cloud: TensorCloud) -> None:
     dtype = cloud.point.positions.dtype
     if dtype not in (o3d.core.float32, o3d.core.float64):
         raise InputTypeError(f"{name}.point.positions: expected Float32 or Float64, got {dtype}")
+
+
+def check_voxel_size(name: str, points: Array, voxel_size: float) -> None:
+    """Raise where the cloud would have more voxels along an axis than Open3D can number."""
+    if len(points) == 0 or not np.isfinite(points).all():
+        return
+    extent = float(np.ptp(points, axis=0).max())
+    if extent / voxel_size >= MOST_VOXELS:
+        raise InputError(
+            f"voxel_size: expected more than {extent / MOST_VOXELS:.3g} for the extent {extent:.3g} of {name}, "
+            f"got {voxel_size:g}"
+        )
+
+
+def _thinned(name: str, cloud: TensorCloud, voxel_size: float) -> TensorCloud:
+    """Voxel averages of the positions and of the covariances; Open3D averages attributes of one row a point only."""
+    check_voxel_size(name, cloud.point.positions.cpu().numpy(), voxel_size)
+    flat = TensorCloud(cloud.point.positions)
+    if "covariances" in cloud.point:
+        wanted, got = (len(cloud.point.positions), 3, 3), tuple(cloud.point.covariances.shape)
+        if got != wanted:
+            raise InputError(f"{name}.covariances: expected shape {wanted}, got {got}")
+        flat.point.covariances = cloud.point.covariances.reshape((-1, 9))
+    thinned = flat.voxel_down_sample(voxel_size)
+    if "covariances" in thinned.point:
+        thinned.point.covariances = thinned.point.covariances.reshape((-1, 3, 3))
+    return thinned
 
 
 def _covariances(name: str, cloud: TensorCloud) -> Array | None:

@@ -145,7 +145,7 @@ def test_the_least_overlap_is_a_share(value):
         Settings(min_overlap=value)
 
 
-@pytest.mark.parametrize("name", ["hololens_tof", "redwood_open3d_5frames", "tum_fr1_rpy_kinect_v1"])
+@pytest.mark.parametrize("name", ["hololens_tof", "redwood_open3d_5frames"])
 def test_real_recordings_are_registered(name):
     recording = open_recording(shared_data("recordings", name))
     outcomes = list(run_pairs(recording, Settings(device="cpu"), range(len(recording))))

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from adagmm_bench.commands import kinect, methods_list, recordings, replay, simulations
+from adagmm_bench.commands import ablation, kinect, methods_list, recordings, replay, simulations
 from adagmm_o3d.errors import AdaGMMError
 
 INTERRUPTED = 130
@@ -38,6 +38,12 @@ def build_parser() -> argparse.ArgumentParser:
         "RGB-D recordings with ground truth, end to end through the app",
         recordings.add_arguments,
         recordings.run,
+    )
+    add(
+        "ablation",
+        "what each choice of the default is worth: one undone at a time",
+        ablation.add_arguments,
+        ablation.run,
     )
     add("replay", "one trial again, alone, printed and shown in Rerun", replay.add_arguments, replay.run)
     add("methods", "the methods, their settings, and which can run here", methods_list.add_arguments, methods_list.run)

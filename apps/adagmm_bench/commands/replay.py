@@ -9,7 +9,7 @@ import numpy as np
 
 from adagmm_bench.commands.options import add_data, data_folder
 from adagmm_bench.methods import METHODS
-from adagmm_bench.methods.ours import ARGUMENTS, register
+from adagmm_bench.methods.ours import ABLATIONS, VARIANTS, register
 from adagmm_bench.models import find_models
 from adagmm_bench.problem import PREPARATIONS, Problem, prepare
 from adagmm_bench.replay_log import log_replay, replay_blueprint
@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
 def poses_on_the_way(job: TrialJob, problem: Problem, T_estimate: np.ndarray) -> np.ndarray:
     """(K, D+1, D+1) between the given clouds: every iteration of ours, the start and the estimate of others."""
     prepared = prepare(problem, job.start)
-    if job.method in ARGUMENTS:
+    if job.method in VARIANTS | ABLATIONS:
         steps = register(job.method, prepared.source, prepared.target).transformations
         return np.array([prepared.restore(T) for T in steps])
     return np.array([prepared.restore(np.eye(problem.dimension + 1)), T_estimate])

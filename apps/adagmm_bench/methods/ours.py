@@ -1,49 +1,88 @@
-"""Adaptive Gaussian mixtures, in the variants whose figures the reports tell apart."""
+"""Adaptive Gaussian mixtures: the variants that the reports tell apart, and the default with one choice undone."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+from typing import Any
+
 import numpy as np
 
-from adagmm_bench.methods.registry import method
+from adagmm_bench.methods.registry import Function, method
 from adagmm_bench.problem import Cloud
 from adagmm_o3d import PointRegistrationResult, TransformationEstimationForAdaptiveGMM, register_points
 
-ARGUMENTS = {
-    "adagmm": {},
-    "adagmm-paper": {"estimation_method": TransformationEstimationForAdaptiveGMM(sigma_rule="nearest", start="init")},
-    "adagmm-paper-literal": {
-        "estimation_method": TransformationEstimationForAdaptiveGMM(sigma_rule="figure2", start="init")
-    },
-    "adagmm-global": {"init": "global"},
+
+@dataclass(frozen=True)
+class Variant:
+    """Options and start of `register_points` under one name; `meaning` is what the reports say about it."""
+
+    meaning: str
+    options: dict[str, Any] = field(default_factory=dict)
+    init: str | None = None
+
+
+VARIANTS = {
+    "adagmm": Variant("This package with its default options."),
+    "adagmm-paper": Variant(
+        "The rule that gives the paper's accuracy: sigma from squared nearest distances, on both clouds.",
+        {"sigma_rule": "nearest", "start": "init", "search": False},
+    ),
+    "adagmm-paper-literal": Variant(
+        "The letter of the paper's Figure 2: sigma the mean nearest distance, on the source alone.",
+        {"sigma_rule": "figure2", "start": "init", "search": False},
+    ),
+    "adagmm-global": Variant(
+        'This package with init="global": it looks for the pose anywhere, then refines it with its default options.',
+        init="global",
+    ),
+}
+
+# The default with one choice undone at a time; `adagmm-bench ablation` runs them.
+ABLATIONS = {
+    "adagmm-without-posterior": Variant(
+        "The default with the paper's weights and an annealed sigma instead of posteriors.", {"sigma_rule": "annealed"}
+    ),
+    "adagmm-without-noise-floor": Variant(
+        "The default with the paper's weights and its sigma, which points without a partner hold up.",
+        {"sigma_rule": "nearest"},
+    ),
+    "adagmm-without-search": Variant(
+        "The default without the search that follows a doubtful result.", {"search": False}
+    ),
+    "adagmm-without-centroids": Variant("The default, started at the identity only.", {"start": "init"}),
+    "adagmm-without-mutuality": Variant(
+        "The default with each pair's weight a share of the source point's alone.", {"mutuality": 0.0}
+    ),
 }
 
 
 def register(name: str, source: Cloud, target: Cloud) -> PointRegistrationResult:
-    """One of ARGUMENTS on two clouds, with its own record of the way."""
+    """One of VARIANTS or ABLATIONS on two clouds, with its own record of the way."""
+    variant = (VARIANTS | ABLATIONS)[name]
     return register_points(
-        source.points, target.points, source.covariances, target.covariances, device="cpu", **ARGUMENTS[name]
+        source.points,
+        target.points,
+        source.covariances,
+        target.covariances,
+        init=variant.init,
+        estimation_method=TransformationEstimationForAdaptiveGMM(**variant.options),
+        device="cpu",
     )
 
 
-@method("adagmm", library="adagmm_o3d", ours=True)
-def default(source: Cloud, target: Cloud) -> np.ndarray:
-    """This package with its default options."""
-    return register("adagmm", source, target).transformation
+def _pose_by(name: str, meaning: str) -> Function:
+    def pose(source: Cloud, target: Cloud) -> np.ndarray:
+        return register(name, source, target).transformation
+
+    pose.__doc__ = meaning
+    return pose
 
 
-@method("adagmm-paper", library="adagmm_o3d", ours=True)
-def paper(source: Cloud, target: Cloud) -> np.ndarray:
-    """This package with the rule that gives the paper's accuracy: sigma from squared nearest distances, both clouds."""
-    return register("adagmm-paper", source, target).transformation
-
-
-@method("adagmm-paper-literal", library="adagmm_o3d", ours=True)
-def paper_literal(source: Cloud, target: Cloud) -> np.ndarray:
-    """This package with the letter of the paper's Figure 2: sigma the mean nearest distance, on the source alone."""
-    return register("adagmm-paper-literal", source, target).transformation
-
-
-@method("adagmm-global", library="adagmm_o3d", ours=True, anywhere=True)
-def everywhere(source: Cloud, target: Cloud) -> np.ndarray:
-    """This package with init="global": from anywhere, then its default options."""
-    return register("adagmm-global", source, target).transformation
+for _name, _variant in (VARIANTS | ABLATIONS).items():
+    method(
+        _name,
+        library="adagmm_o3d",
+        ours=True,
+        anywhere=_variant.init == "global",
+        default=_name in VARIANTS,
+    )(_pose_by(_name, _variant.meaning))

@@ -363,6 +363,16 @@ def test_callback_of_a_real_registration(tmp_path, kind):
     assert degrees[0][0] == pytest.approx(15.0, rel=1e-6, abs=0.0) and degrees[-1][0] < 1.0
 
 
+def test_report_counts_partners_and_contradictions(tmp_path):
+    estimate = known_estimate(off=(0.0, 0.2, -0.2))
+    path = save(tmp_path / "off.rrd", lambda rec: log_pair(rec, room_pair(), *room_clouds(), estimate))
+    (text,) = rows(path, "report", "TextDocument:text").values
+    shares = {line.split("|")[1].strip(): line.split("|")[3].strip() for line in text[0].splitlines() if "[%]" in line}
+    assert shares.pop("overlap, as estimated [%]") == "70"
+    within, contradicted = (int(share) for share in shares.values())
+    assert within < 50 and contradicted > 10
+
+
 def test_verdict_follows_the_limits(tmp_path):
     estimate = known_estimate(off=(0.05, 0.0, 0.0))
     for millimetres, verdict in ((60.0, "✔ Registered"), (40.0, "× Failed")):

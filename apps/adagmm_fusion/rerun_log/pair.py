@@ -91,7 +91,9 @@ def log_pair(
     log_unobservable(rec, unobservable, moved, np.asarray(target_cloud.points), when)
     log_overlay(rec, pair.source, pair.target, T_estimate, when)
     if report is None:
-        report = pair_report(pair.name, estimate, T_truth, limits, status=status, reason=reason, seconds=seconds)
+        report = pair_report(
+            pair.name, estimate, T_truth, diagnostics, limits, status=status, reason=reason, seconds=seconds
+        )
     when.log(rec, entities.REPORT, rr.TextDocument(report, media_type=rr.MediaType.MARKDOWN))
     log_messages(rec, pair.name, estimate, reason, when)
     return em_step + rows

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adagmm_fusion.rerun_log.diagnostics import CONTRADICTED, PARTNER, PointDiagnostics
 from adagmm_fusion.rerun_log.iterations import pose_errors
 
 
@@ -18,7 +19,17 @@ class Limits:
 DEFAULT_LIMITS = Limits()
 
 
-def pair_report(name, estimate, T_truth, limits: Limits = DEFAULT_LIMITS, *, status="", reason="", seconds=None) -> str:
+def pair_report(
+    name: str,
+    estimate,
+    T_truth: np.ndarray | None,
+    diagnostics: PointDiagnostics | None = None,
+    limits: Limits = DEFAULT_LIMITS,
+    *,
+    status: str = "",
+    reason: str = "",
+    seconds: float | None = None,
+) -> str:
     """The report of one pair: the verdict, a table of before, after and limit, and what the estimate says of itself."""
     lines = [f"# {verdict(estimate, T_truth, limits, status, reason)}", "", f"**{name}**", ""]
     if estimate is None:
@@ -34,7 +45,13 @@ def pair_report(name, estimate, T_truth, limits: Limits = DEFAULT_LIMITS, *, sta
         ]
     else:
         lines += ["| *no ground truth* | | | |"]
-    lines += [f"| overlap [%] | | {100.0 * estimate.overlap:.0f} | |"]
+    lines += [f"| overlap, as estimated [%] | | {100.0 * estimate.overlap:.0f} | |"]
+    if diagnostics is not None:
+        partners, contradicted = (100.0 * np.mean(diagnostics.overlap == state) for state in (PARTNER, CONTRADICTED))
+        lines += [
+            f"| overlap, within {1000.0 * diagnostics.partner_distance:.0f} mm [%] | | {partners:.0f} | |",
+            f"| contradicted by the target's depth [%] | | {contradicted:.0f} | |",
+        ]
     if len(estimate.sigmas):
         lines += [f"| σ [mm²] | {1e6 * estimate.sigmas[0]:.3g} | {1e6 * estimate.sigmas[-1]:.3g} | |"]
     lines += ["", f"{estimate.iterations} EM iterations, stopped: {estimate.stop_reason}."]

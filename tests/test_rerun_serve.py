@@ -1,8 +1,10 @@
 """`--serve`: loopback only, shown by a real browser, and gone with the process that started it."""
 
+import argparse
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -12,6 +14,10 @@ import numpy as np
 import psutil
 import pytest
 from browser import browser_page, find_browser
+
+from adagmm_fusion.errors import OutputError
+from adagmm_fusion.rerun_log import add_rerun_arguments, open_stream
+from adagmm_fusion.rerun_log.streams import free_port
 
 TESTS = Path(__file__).parent
 BROWSER_SECONDS = 150.0
@@ -61,6 +67,28 @@ def test_only_loopback_listens_and_the_server_ends_with_us(serving, ending):
     process.wait(timeout=30)
     gone, alive = psutil.wait_procs(family, timeout=10)
     assert alive == [] and len(gone) == len(family)
+
+
+@pytest.mark.parametrize(
+    "url", [f"rerun+http://127.0.0.1:{free_port()}/proxy", "nonsense", "http://127.0.0.1:port/proxy"]
+)
+def test_no_viewer_where_one_was_expected(url):
+    parser = argparse.ArgumentParser()
+    add_rerun_arguments(parser)
+    with pytest.raises(OutputError, match=f"^{re.escape(url)}: "), open_stream(parser.parse_args(["--url", url]), "x"):
+        pass
+
+
+def test_a_taken_port_is_named():
+    parser = argparse.ArgumentParser()
+    add_rerun_arguments(parser)
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = str(taken.getsockname()[1])
+        args = parser.parse_args(["--serve", "--port", port])
+        with pytest.raises(OutputError, match=f"^--port: cannot listen on 127.0.0.1:{port}: "), open_stream(args, "x"):
+            pass
 
 
 @pytest.mark.skipif(find_browser() is None, reason="no Chromium is installed (Debian: chromium)")

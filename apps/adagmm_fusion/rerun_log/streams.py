@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import time
+import urllib.parse
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,7 +18,11 @@ from adagmm_fusion.errors import OutputError
 
 APPLICATION_ID = "adagmm_fusion"
 LOOPBACK = "127.0.0.1"
+VIEWER_PORT = 9876
+VIEWER_URL = f"rerun+http://{LOOPBACK}:{VIEWER_PORT}/proxy"
+CONNECT_SECONDS = 5.0
 SERVER_START_SECONDS = 20.0
+FLUSH_SECONDS = 120.0
 
 
 def add_rerun_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,13 +36,13 @@ def open_stream(args: argparse.Namespace, name: str, blueprint=None) -> Iterator
     """A recording stream that goes where `args` say, closed at the end so that a file has its footer.
 
     A file is written beside its final name and moved there when it is complete. With `--serve` this blocks at the end,
-    until Ctrl-C, as Rerun's own scripts do.
+    until Ctrl-C, as Rerun's own scripts do. Without a destination what is logged is dropped.
 
     Raises
     ------
-    OutputError  if the file cannot be written, or the viewer or server cannot be started.
+    OutputError  if the file cannot be written, the server not started, or the viewer not reached.
     """
-    rec = rr.RecordingStream(APPLICATION_ID, recording_id=None)
+    rec = rr.RecordingStream(APPLICATION_ID)
     rec.send_recording_name(name)
     with contextlib.ExitStack() as stack:
         if args.stdout:
@@ -46,22 +51,41 @@ def open_stream(args: argparse.Namespace, name: str, blueprint=None) -> Iterator
             url, server = stack.enter_context(_serve_on_loopback(args.port))
             rec.connect_grpc(url, default_blueprint=blueprint)
         elif args.connect or args.url:
-            rec.connect_grpc(args.url, default_blueprint=blueprint)
+            _connect(rec, args.url or VIEWER_URL, blueprint)
         elif args.save is not None:
             partial = stack.enter_context(_renamed_when_complete(Path(args.save)))
             rec.save(partial, default_blueprint=blueprint)
-        elif not args.headless:
-            try:
-                rec.spawn(default_blueprint=blueprint)
-            except RuntimeError as error:
-                raise OutputError(f"rerun viewer: could not be started ({error}); use --save FILE.rrd") from error
         try:
             yield rec
         finally:
-            rec.flush()
-            rec.disconnect()
+            _close(rec)
         if args.serve:
             _wait_for_interrupt(server)
+
+
+def _connect(rec: rr.RecordingStream, url: str, blueprint) -> None:
+    """Connect to a viewer that is there: the SDK itself would wait for one for ever."""
+    try:
+        address = urllib.parse.urlsplit(url)
+        host, port = address.hostname or LOOPBACK, address.port or VIEWER_PORT
+        with socket.create_connection((host, port), timeout=CONNECT_SECONDS):
+            pass
+        rec.connect_grpc(url, default_blueprint=blueprint)
+    except OSError as error:
+        raise OutputError(
+            f"{url}: no viewer answers ({error.strerror or error}); start one with `rerun`, or use --save FILE.rrd"
+        ) from error
+    except (RuntimeError, ValueError) as error:
+        raise OutputError(f"{url}: expected a viewer's address such as {VIEWER_URL}: {error}") from error
+
+
+def _close(rec: rr.RecordingStream) -> None:
+    try:
+        rec.flush(timeout_sec=FLUSH_SECONDS)
+    except RuntimeError as error:
+        raise OutputError(f"Rerun recording: not all of it arrived within {FLUSH_SECONDS:g} s ({error})") from error
+    finally:
+        rec.disconnect()
 
 
 @contextlib.contextmanager
@@ -82,8 +106,7 @@ def _renamed_when_complete(path: Path) -> Iterator[Path]:
 @contextlib.contextmanager
 def _serve_on_loopback(port: int | None) -> Iterator[tuple[str, subprocess.Popen]]:
     """Rerun's own server and web viewer, bound to loopback: the SDK's `serve_grpc` would bind to every interface."""
-    grpc_port = free_port() if port is None else port
-    web_port = free_port()
+    grpc_port, web_port = free_port(port or 0), free_port()
     command = [sys.executable, "-m", "rerun_cli", "--serve-web", "--bind", LOOPBACK, "--port", str(grpc_port)]
     command += ["--web-viewer-port", str(web_port)]
     terminate = signal.signal(signal.SIGTERM, _exit)  # so that the server does not outlive us
@@ -103,10 +126,19 @@ def _exit(signal_number, _frame) -> None:
     sys.exit(128 + signal_number)
 
 
-def free_port() -> int:
-    """A TCP port on loopback that nothing listens on."""
+def free_port(port: int = 0) -> int:
+    """A TCP port on loopback that nothing listens on: this one, or any for 0.
+
+    Raises
+    ------
+    OutputError  if this one is taken, or not allowed.
+    """
     with socket.socket() as probe:
-        probe.bind((LOOPBACK, 0))
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((LOOPBACK, port))
+        except (OSError, OverflowError) as error:
+            raise OutputError(f"--port: cannot listen on {LOOPBACK}:{port}: {error}; choose another") from error
         return probe.getsockname()[1]
 
 
@@ -116,7 +148,7 @@ def _wait_for_port(port: int, server: subprocess.Popen) -> None:
         with contextlib.suppress(OSError), socket.create_connection((LOOPBACK, port), timeout=1.0):
             return
         time.sleep(0.05)
-    raise OutputError(f"rerun server: nothing listens on {LOOPBACK}:{port}; is the port taken? choose another --port")
+    raise OutputError(f"rerun server: did not start listening on {LOOPBACK}:{port} within {SERVER_START_SECONDS:g} s")
 
 
 def _wait_for_interrupt(server: subprocess.Popen) -> None:

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from adagmm_bench.commands import ablation, kinect, methods_list, recordings, replay, simulations
+from adagmm_bench.commands import ablation, kinect, methods_list, recordings, replay, simulations, speed
 from adagmm_o3d.errors import AdaGMMError
 
 INTERRUPTED = 130
@@ -39,6 +39,7 @@ def build_parser() -> argparse.ArgumentParser:
         recordings.add_arguments,
         recordings.run,
     )
+    add("speed", "how fast, beside other libraries, and against recorded ratios", speed.add_arguments, speed.run)
     add(
         "ablation",
         "what each choice of the default is worth: one undone at a time",

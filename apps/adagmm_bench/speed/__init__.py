@@ -1,0 +1,1 @@
+"""How fast: whole registrations beside other libraries, the kernels beside a matrix product, starting, growing."""

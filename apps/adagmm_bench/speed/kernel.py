@@ -1,0 +1,50 @@
+"""The pair kernels beside the machine's own float32 matrix product, on one thread, every pair evaluated."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from adagmm_bench.speed.measurement import Measurement, best_seconds
+from adagmm_o3d.kernels.pair_loop import PairLoop
+from adagmm_o3d.mixture import make_mixture, normalise
+
+POINTS = 4000
+WIDE_SIGMA = 0.3  # so wide that no tile of pairs may be left out
+MATRIX = 1024  # small enough to be done between two disturbances
+GOAL = 2.0  # at least half of the matrix product's rate
+
+# Float operations of a pair of isotropic components, read off the kernels' inner loops. Additions, multiplications,
+# divisions, roots, maxima and roundings count one each, integer and bit operations none. exp2 is 17 of them: clamp,
+# shift, round, subtract, a polynomial of degree six, scale.
+EXP2 = 17
+OPERATIONS = {
+    "paper's weights": 3 + 5 + 2 + 2 * EXP2 + 2 + 2 + 11,
+    "posteriors": 3 + 2 + 6 + 4 + EXP2 + 1 + 2 + 2 + 10,
+}
+
+
+def kernel(repeats: int) -> list[Measurement]:
+    rng = np.random.default_rng(0)
+    source, target, _ = normalise(
+        *(make_mixture(role, rng.normal(size=(POINTS, 3)), None) for role in ("source", "target"))
+    )
+    pairs, pose = PairLoop(source, target), np.eye(4)
+    _, columns = pairs.posterior_sums(pose, WIDE_SIGMA, 0.1)
+    a = rng.normal(size=(MATRIX, MATRIX)).astype(np.float32)
+    runs = {
+        "product": lambda: a @ a,
+        "paper's weights": lambda: pairs.sums(pose, WIDE_SIGMA, WIDE_SIGMA),
+        "posteriors": lambda: pairs.posterior_sums(pose, WIDE_SIGMA, 0.1, columns, 0.5),
+    }
+    seconds = best_seconds(runs, 10 * repeats)
+    product_rate = 2 * MATRIX**3 / seconds["product"]
+    lines = [Measurement("kernel", "float32 matrix product", product_rate / 1e9, "GFLOP/s")]
+    for name, count in OPERATIONS.items():
+        pair_rate = POINTS**2 / seconds[name]
+        operations = pair_rate * count
+        lines += [
+            Measurement("kernel", f"{name}, pairs", pair_rate / 1e6, "M/s"),
+            Measurement("kernel", f"{name}, {count} operations a pair", operations / 1e9, "GFLOP/s"),
+            Measurement("kernel", f"matrix product / {name}", product_rate / operations, "×", cost=True, goal=GOAL),
+        ]
+    return lines

@@ -54,9 +54,7 @@ def measured_before(function, tasks, workers):
 
 
 def test_the_command_exits_1_on_a_regression_and_0_without(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(
-        speed, "run_tasks", lambda function, tasks, workers: [(k, fake_measure(t)) for k, t in tasks.items()]
-    )
+    monkeypatch.setattr(speed, "run_tasks", measured_before)
     recorded = tmp_path / "ratios.json"
     recorded.write_text('{"ratios": {"kinect: adagmm / peer": 1.0}}')
     arguments = ["speed", "--sections", "kinect", "--recorded", str(recorded), "--output", str(tmp_path / "out")]

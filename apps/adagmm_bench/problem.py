@@ -13,7 +13,7 @@ from adagmm_o3d.errors import InputError
 FLAGGED_RATIO, CERTAIN_QUANTILE = 1e4, 0.1
 
 PREPARATIONS = {
-    "as-given": "scaled only",
+    "as-given": "scaled only, the start is the identity",
     "centroids": "scaled, and the clouds' centroids brought together",
     "unflagged": "points marked as outliers removed, then scaled and centroids brought together",
 }

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from adagmm_bench.methods import METHODS
+from adagmm_bench.problem import PREPARATIONS
 from adagmm_bench.summary import Summary
 from adagmm_fusion.atomic_file import write_text
 
@@ -58,8 +59,10 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[obje
 
 
 def settings_section(names: Iterable[str], skipped: Sequence[str]) -> str:
-    """How every method was set, and which were left out and why."""
-    lines = ["## Methods", ""]
+    """What the starts are, how every method was set, and which were left out and why."""
+    lines = ["## Starts", ""]
+    lines += [f"- {name}: {meaning}." for name, meaning in PREPARATIONS.items()]
+    lines += ["", "## Methods", "", "Distances are in RMS radii of the larger cloud.", ""]
     for name in names:
         lines.append(f"- `{name}` ({METHODS[name].version()}): {METHODS[name].settings()}")
     if skipped:

@@ -60,8 +60,50 @@ def build(jit):
             p0 * p3 - p1 * p1,
         )
 
+    @jit
+    def normal_equations(y0, y1, y2, p0, p1, p2, p3, p4, p5, u0, u1, u2, t0, t1, t2):
+        """What a point y with precision P, pull u and turn t adds to the 6x6 system of a left perturbation (ω, v).
+
+        The upper triangle of [y]ₓ P [y]ₓᵀ, [y]ₓ P and P, row by row, then the gradient: layout.HESSIAN to TOTAL_WEIGHT.
+        """
+        # [y]x P; the columns of P are (p0 p1 p2), (p1 p3 p4), (p2 p4 p5).
+        k00, k10, k20 = cross(y0, y1, y2, p0, p1, p2)
+        k01, k11, k21 = cross(y0, y1, y2, p1, p3, p4)
+        k02, k12, k22 = cross(y0, y1, y2, p2, p4, p5)
+        g0, g1, g2 = cross(y0, y1, y2, u0, u1, u2)
+        return (
+            k02 * y1 - k01 * y2,
+            k00 * y2 - k02 * y0,
+            k01 * y0 - k00 * y1,
+            k00,
+            k01,
+            k02,
+            k10 * y2 - k12 * y0,
+            k11 * y0 - k10 * y1,
+            k10,
+            k11,
+            k12,
+            k21 * y0 - k20 * y1,
+            k20,
+            k21,
+            k22,
+            p0,
+            p1,
+            p2,
+            p3,
+            p4,
+            p5,
+            g0 - t0,
+            g1 - t1,
+            g2 - t2,
+            u0,
+            u1,
+            u2,
+        )
+
     return SimpleNamespace(
         adjugate=adjugate,
+        normal_equations=normal_equations,
         symmetric_product=symmetric_product,
         dot=dot,
         cross=cross,

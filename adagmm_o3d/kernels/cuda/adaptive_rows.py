@@ -1,0 +1,167 @@
+"""The paper's E-step on the GPU: for every source point the sums over the target points, as in `kernels.adaptive_sums`."""
+
+import math
+
+from numba import float32, int32
+
+from .front_end import F0, F1, TILE, cuda, fast, fast_kernel, formulas, source_stamp
+from .tiles import MATRIX, is_near
+
+symmetric_product, dot, cross = formulas.symmetric_product, formulas.dot, formulas.cross
+
+# Sums of a source point: layout.WEIGHT to TURN.
+ROWS = 14
+# Tiles summed in float32 before float64 takes over.
+FLUSH = 4
+NONE = (F0,) * ROWS
+NOTHING = (0.0,) * ROWS
+
+
+@fast
+def pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, s):
+    """The sums `s` of a source point and target point j of the tile `x` added."""
+    dx = y0 - x[j, 0]
+    dy = y1 - x[j, 1]
+    dz = y2 - x[j, 2]
+    a0, a1, a2, a3, a4, a5 = x[j, 4], x[j, 5], x[j, 6], x[j, 7], x[j, 8], x[j, 9]
+    ax, ay, az = symmetric_product(a0, a1, a2, a3, a4, a5, dx, dy, dz)
+    bx, by, bz = symmetric_product(b0, b1, b2, b3, b4, b5, dx, dy, dz)
+    qa = dot(dx, dy, dz, ax, ay, az)
+    qb = dot(dx, dy, dz, bx, by, bz)
+    c = x[j, 3] * (math.exp2(-qa) + math.exp2(-qb))
+    tx, ty, tz = cross(dx, dy, dz, bx, by, bz)
+    return (
+        s[0] + c,
+        s[1] + c * (qa + qb),
+        s[2] + c * a0,
+        s[3] + c * a1,
+        s[4] + c * a2,
+        s[5] + c * a3,
+        s[6] + c * a4,
+        s[7] + c * a5,
+        s[8] + c * (ax + bx),
+        s[9] + c * (ay + by),
+        s[10] + c * (az + bz),
+        s[11] + c * tx,
+        s[12] + c * ty,
+        s[13] + c * tz,
+    )
+
+
+@fast
+def pair_isotropic(x, j, y0, y1, y2, b, s):
+    """The same where every precision is a multiple of the identity: nothing turns, three directions share one sum."""
+    dx = y0 - x[j, 0]
+    dy = y1 - x[j, 1]
+    dz = y2 - x[j, 2]
+    a = x[j, 4]
+    d2 = dot(dx, dy, dz, dx, dy, dz)
+    c = x[j, 3] * (math.exp2(-a * d2) + math.exp2(-b * d2))
+    k = c * (a + b)
+    p = s[2] + c * a
+    return (s[0] + c, s[1] + k * d2, p, F0, F0, p, F0, p, s[8] + k * dx, s[9] + k * dy, s[10] + k * dz, F0, F0, F0)
+
+
+@fast
+def added(total, s):
+    """The float64 sums `total` with the float32 sums `s` added."""
+    return (
+        total[0] + s[0],
+        total[1] + s[1],
+        total[2] + s[2],
+        total[3] + s[3],
+        total[4] + s[4],
+        total[5] + s[5],
+        total[6] + s[6],
+        total[7] + s[7],
+        total[8] + s[8],
+        total[9] + s[9],
+        total[10] + s[10],
+        total[11] + s[11],
+        total[12] + s[12],
+        total[13] + s[13],
+    )
+
+
+def _build(isotropic, stamp):
+    """The kernel for one kind of matrices; `stamp` keeps its cache fresh."""
+    components = 5 if isotropic else 10
+    width = 8 if isotropic else 12  # whole 16-byte words, which the compiler then loads at once
+
+    @fast_kernel
+    def adaptive_rows(moved, moved_boxes, source_sigma, target, target_boxes, target_sigma, scale, rows):
+        """One block for each source tile (x) and share of the target tiles (y), one thread for each source point.
+
+        scale : what the target's precisions are multiplied with.
+        rows : (shares, ROWS, source tiles x TILE) float64, overwritten.
+        """
+        _ = stamp
+        x = cuda.shared.array((TILE, width), float32)
+        near = cuda.shared.array(TILE, int32)
+        t = cuda.threadIdx.x
+        own = cuda.blockIdx.x
+        share = cuda.blockIdx.y
+        shares = cuda.gridDim.y
+        count = target.shape[0]
+        y0, y1, y2 = moved[own, 0, t], moved[own, 1, t], moved[own, 2, t]
+        b0 = moved[own, MATRIX, t]
+        if isotropic:
+            b1 = b2 = b3 = b4 = b5 = F0
+        else:
+            b1, b2, b3 = moved[own, MATRIX + 1, t], moved[own, MATRIX + 2, t], moved[own, MATRIX + 3, t]
+            b4, b5 = moved[own, MATRIX + 4, t], moved[own, MATRIX + 5, t]
+        total = NOTHING
+        s = NONE
+        pending = 0
+        for first in range(share, count, TILE * shares):
+            # Every thread tests one tile, then all threads take those in reach, one after another.
+            tile = first + t * shares
+            found = 0
+            if tile < count and is_near(False, moved_boxes, own, source_sigma, target_boxes, tile, target_sigma):
+                found = 1
+            near[t] = found
+            if cuda.syncthreads_or(found) == 0:
+                continue
+            for k in range(TILE):
+                if near[k] == 0:
+                    continue
+                tile = first + k * shares
+                for i in range(components):
+                    x[t, i] = target[tile, i, t] * (scale if i >= MATRIX else F1)
+                cuda.syncthreads()
+                for j in range(0, TILE, 2):
+                    if isotropic:
+                        s = pair_isotropic(x, j, y0, y1, y2, b0, s)
+                        s = pair_isotropic(x, j + 1, y0, y1, y2, b0, s)
+                    else:
+                        s = pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, s)
+                        s = pair_anisotropic(x, j + 1, y0, y1, y2, b0, b1, b2, b3, b4, b5, s)
+                pending += 1
+                if pending == FLUSH:
+                    total = added(total, s)
+                    s = NONE
+                    pending = 0
+                cuda.syncthreads()
+            cuda.syncthreads()
+        total = added(total, s)
+        m = own * TILE + t
+        rows[share, 0, m] = total[0]
+        rows[share, 1, m] = total[1]
+        rows[share, 2, m] = total[2]
+        rows[share, 3, m] = total[3]
+        rows[share, 4, m] = total[4]
+        rows[share, 5, m] = total[5]
+        rows[share, 6, m] = total[6]
+        rows[share, 7, m] = total[7]
+        rows[share, 8, m] = total[8]
+        rows[share, 9, m] = total[9]
+        rows[share, 10, m] = total[10]
+        rows[share, 11, m] = total[11]
+        rows[share, 12, m] = total[12]
+        rows[share, 13, m] = total[13]
+
+    return adaptive_rows
+
+
+adaptive_rows_isotropic = _build(True, source_stamp())
+adaptive_rows_anisotropic = _build(False, source_stamp())

@@ -1,0 +1,59 @@
+"""Whether this process can run the CUDA kernels, and if not, why; asking imports Numba's CUDA only where it is installed."""
+
+from __future__ import annotations
+
+import importlib.util
+from functools import cache
+
+from numba.core import config
+
+INSTALL = "pip install 'adagmm-o3d[cuda]'"
+
+
+@cache
+def obstacle() -> str | None:
+    """What keeps the CUDA kernels from running here, as one line; None where they can run."""
+    if (missing := missing_front_end()) is not None:
+        return missing
+    from numba import cuda
+
+    if not cuda.is_available():
+        return "no CUDA GPU or no driver for it was found"
+    least = (7, 5)
+    capability = cuda.get_current_device().compute_capability
+    if not simulated() and capability < least:
+        found, wanted = (".".join(map(str, version)) for version in (capability, least))
+        return f"the GPU has compute capability {found}, at least {wanted} is needed"
+    return None
+
+
+def missing_front_end() -> str | None:
+    """Why there is no usable `numba.cuda`; None where there is one, with or without a GPU.
+
+    The one inside Numba is deprecated and broken, only its simulator works. NVIDIA's numba-cuda takes its place by a .pth
+    file, which `pip install --target` leaves unread.
+    """
+    if simulated():
+        return None
+    if importlib.util.find_spec("numba_cuda") is None:
+        return f"numba-cuda is not installed; {INSTALL}"
+    from numba import cuda
+
+    if getattr(cuda, "implementation", None) != "NVIDIA":
+        return (
+            "numba-cuda is installed, but its .pth file was not read and numba.cuda is not NVIDIA's; use a plain venv"
+        )
+    return None
+
+
+def simulated() -> bool:
+    """Whether Numba's CUDA simulator stands in for a GPU (NUMBA_ENABLE_CUDASIM=1 before Numba is imported)."""
+    return bool(config.ENABLE_CUDASIM)
+
+
+def device_name() -> str:
+    """The name of the GPU in use; only where there is no `obstacle`."""
+    from numba import cuda
+
+    name = getattr(cuda.get_current_device(), "name", "CUDA simulator")
+    return name.decode() if isinstance(name, bytes) else str(name)

@@ -1,0 +1,112 @@
+"""The density of the source mixture at every target point: the same pairs as `convolved_rows`, seen from the other side.
+
+On the CPU one pass leaves both. Here the columns of a block of pairs would have to be added up across blocks, in a fixed
+order and without atomics; a second, lighter pass is simpler and needs no memory.
+"""
+
+import math
+
+from numba import float32, int32
+
+from .front_end import F0, F1, TILE, cuda, fast, fast_kernel, formulas, source_stamp
+from .tiles import MATRIX, is_near
+
+symmetric_product, dot, adjugate = formulas.symmetric_product, formulas.dot, formulas.adjugate
+
+# Tiles summed in float32 before float64 takes over.
+FLUSH = 4
+
+
+@fast
+def density_anisotropic(y, j, x0, x1, x2, a0, a1, a2, a3, a4, a5):
+    """What source point j of the tile `y` adds to the density at a target point."""
+    dx = y[j, 0] - x0
+    dy = y[j, 1] - x1
+    dz = y[j, 2] - x2
+    s0 = y[j, 4] + a0
+    s1 = y[j, 5] + a1
+    s2 = y[j, 6] + a2
+    c0, c1, c2, c3, c4, c5 = adjugate(s0, s1, s2, y[j, 7] + a3, y[j, 8] + a4, y[j, 9] + a5)
+    root = F1 / math.sqrt(dot(s0, s1, s2, c0, c1, c2))
+    vx, vy, vz = symmetric_product(c0, c1, c2, c3, c4, c5, dx, dy, dz)
+    return y[j, 3] * root * math.exp2(-dot(dx, dy, dz, vx, vy, vz) * (root * root))
+
+
+@fast
+def density_isotropic(y, j, x0, x1, x2, a, flat):
+    """The same where every covariance is a multiple of the identity."""
+    dx = y[j, 0] - x0
+    dy = y[j, 1] - x1
+    dz = y[j, 2] - x2
+    precision = F1 / (y[j, 4] + a)
+    root = F1 if flat else math.sqrt(precision)
+    return y[j, 3] * precision * root * math.exp2(-precision * dot(dx, dy, dz, dx, dy, dz))
+
+
+def _build(isotropic, stamp):
+    """The kernel for one kind of matrices; `stamp` keeps its cache fresh."""
+    components = 5 if isotropic else 10
+    width = 8 if isotropic else 12  # whole 16-byte words, which the compiler then loads at once
+
+    @fast_kernel
+    def convolved_columns(target, target_boxes, sigma, flat, moved, moved_boxes, parts):
+        """One block for each target tile (x) and share of the source tiles (y), one thread for each target point.
+
+        parts : (shares, target tiles x TILE) float64 densities, overwritten.
+        """
+        _ = stamp
+        y = cuda.shared.array((TILE, width), float32)
+        near = cuda.shared.array(TILE, int32)
+        t = cuda.threadIdx.x
+        own = cuda.blockIdx.x
+        share = cuda.blockIdx.y
+        shares = cuda.gridDim.y
+        count = moved.shape[0]
+        x0, x1, x2 = target[own, 0, t], target[own, 1, t], target[own, 2, t]
+        a0 = target[own, MATRIX, t] * sigma
+        if isotropic:
+            a1 = a2 = a3 = a4 = a5 = F0
+        else:
+            a1, a2 = target[own, MATRIX + 1, t] * sigma, target[own, MATRIX + 2, t] * sigma
+            a3, a4 = target[own, MATRIX + 3, t] * sigma, target[own, MATRIX + 4, t] * sigma
+            a5 = target[own, MATRIX + 5, t] * sigma
+        total = 0.0
+        s = F0
+        pending = 0
+        for first in range(share, count, TILE * shares):
+            # Every thread tests one tile, then all threads take those in reach, one after another.
+            tile = first + t * shares
+            found = 0
+            if tile < count and is_near(True, target_boxes, own, sigma, moved_boxes, tile, sigma):
+                found = 1
+            near[t] = found
+            if cuda.syncthreads_or(found) == 0:
+                continue
+            for k in range(TILE):
+                if near[k] == 0:
+                    continue
+                tile = first + k * shares
+                for i in range(components):
+                    y[t, i] = moved[tile, i, t]
+                cuda.syncthreads()
+                for j in range(0, TILE, 2):
+                    if isotropic:
+                        s += density_isotropic(y, j, x0, x1, x2, a0, flat)
+                        s += density_isotropic(y, j + 1, x0, x1, x2, a0, flat)
+                    else:
+                        s += density_anisotropic(y, j, x0, x1, x2, a0, a1, a2, a3, a4, a5)
+                        s += density_anisotropic(y, j + 1, x0, x1, x2, a0, a1, a2, a3, a4, a5)
+                pending += 1
+                if pending == FLUSH:
+                    total += s
+                    s = F0
+                    pending = 0
+                cuda.syncthreads()
+            cuda.syncthreads()
+        parts[share, own * TILE + t] = total + s
+
+    return convolved_columns
+
+
+convolved_columns_isotropic = _build(True, source_stamp())
+convolved_columns_anisotropic = _build(False, source_stamp())

@@ -1,0 +1,179 @@
+"""The E-step on convolved Gaussians on the GPU: the sums of every source point, as in `kernels.convolution_sums`."""
+
+import math
+
+from numba import float32, int32
+
+from .front_end import F0, F1, TILE, cuda, fast, fast_kernel, formulas, source_stamp
+from .tiles import MATRIX, is_near
+
+symmetric_product, dot, adjugate = formulas.symmetric_product, formulas.dot, formulas.adjugate
+
+# Sums of a source point: layout.WEIGHT to PULL, then the density.
+ROWS = 12
+ROW_DENSITY = 11
+# Tiles summed in float32 before float64 takes over.
+FLUSH = 4
+NONE = (F0,) * ROWS
+NOTHING = (0.0,) * ROWS
+
+
+@fast
+def pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, s):
+    """The sums `s` of a source point with target point j of the tile `x` added."""
+    dx = y0 - x[j, 0]
+    dy = y1 - x[j, 1]
+    dz = y2 - x[j, 2]
+    s0 = x[j, 4] + b0
+    s1 = x[j, 5] + b1
+    s2 = x[j, 6] + b2
+    c0, c1, c2, c3, c4, c5 = adjugate(s0, s1, s2, x[j, 7] + b3, x[j, 8] + b4, x[j, 9] + b5)
+    root = F1 / math.sqrt(dot(s0, s1, s2, c0, c1, c2))
+    inverse = root * root
+    vx, vy, vz = symmetric_product(c0, c1, c2, c3, c4, c5, dx, dy, dz)
+    q = dot(dx, dy, dz, vx, vy, vz) * inverse
+    g = x[j, 3] * root * math.exp2(-q)
+    c = g * x[j, 10]
+    k = c * inverse
+    return (
+        s[0] + c,
+        s[1] + c * q,
+        s[2] + k * c0,
+        s[3] + k * c1,
+        s[4] + k * c2,
+        s[5] + k * c3,
+        s[6] + k * c4,
+        s[7] + k * c5,
+        s[8] + k * vx,
+        s[9] + k * vy,
+        s[10] + k * vz,
+        s[11] + g,
+    )
+
+
+@fast
+def pair_isotropic(x, j, y0, y1, y2, b, flat, s):
+    """The same where every covariance is a multiple of the identity."""
+    dx = y0 - x[j, 0]
+    dy = y1 - x[j, 1]
+    dz = y2 - x[j, 2]
+    precision = F1 / (x[j, 4] + b)
+    d2 = dot(dx, dy, dz, dx, dy, dz)
+    q = precision * d2
+    # |Σ|^(-1/2): the precision to the power D / 2.
+    g = x[j, 3] * precision * (F1 if flat else math.sqrt(precision)) * math.exp2(-q)
+    c = g * x[j, 5]
+    k = c * precision
+    p = s[2] + k
+    return (s[0] + c, s[1] + c * q, p, F0, F0, p, F0, p, s[8] + k * dx, s[9] + k * dy, s[10] + k * dz, s[11] + g)
+
+
+@fast
+def added(total, s):
+    """The float64 sums `total` with the float32 sums `s` added."""
+    return (
+        total[0] + s[0],
+        total[1] + s[1],
+        total[2] + s[2],
+        total[3] + s[3],
+        total[4] + s[4],
+        total[5] + s[5],
+        total[6] + s[6],
+        total[7] + s[7],
+        total[8] + s[8],
+        total[9] + s[9],
+        total[10] + s[10],
+        total[11] + s[11],
+    )
+
+
+@fast
+def column_factor(density, uniform, mutuality):
+    """(uniform / (density + uniform))**mutuality: what a target point's own posterior does to the weights of its pairs."""
+    return math.exp2(mutuality * math.log2(uniform / (density + uniform)))
+
+
+def _build(isotropic, stamp):
+    """The kernel for one kind of matrices; `stamp` keeps its cache fresh."""
+    components = 5 if isotropic else 10
+    width = 8 if isotropic else 12  # whole 16-byte words, which the compiler then loads at once
+    factor = components
+
+    @fast_kernel
+    def convolved_rows(
+        moved, moved_boxes, target, target_boxes, sigma, flat, columns, uniform, mutuality, rows
+    ):  # fmt: skip
+        """One block for each source tile (x) and share of the target tiles (y), one thread for each source point.
+
+        columns : (target tiles, TILE) float32 densities at the target points, read where mutuality > 0.
+        rows : (shares, ROWS or more, source tiles x TILE) float64, overwritten.
+        """
+        _ = stamp
+        x = cuda.shared.array((TILE, width), float32)
+        near = cuda.shared.array(TILE, int32)
+        t = cuda.threadIdx.x
+        own = cuda.blockIdx.x
+        share = cuda.blockIdx.y
+        shares = cuda.gridDim.y
+        count = target.shape[0]
+        y0, y1, y2 = moved[own, 0, t], moved[own, 1, t], moved[own, 2, t]
+        b0 = moved[own, MATRIX, t]
+        if isotropic:
+            b1 = b2 = b3 = b4 = b5 = F0
+        else:
+            b1, b2, b3 = moved[own, MATRIX + 1, t], moved[own, MATRIX + 2, t], moved[own, MATRIX + 3, t]
+            b4, b5 = moved[own, MATRIX + 4, t], moved[own, MATRIX + 5, t]
+        total = NOTHING
+        s = NONE
+        pending = 0
+        for first in range(share, count, TILE * shares):
+            # Every thread tests one tile, then all threads take those in reach, one after another.
+            tile = first + t * shares
+            found = 0
+            if tile < count and is_near(True, moved_boxes, own, sigma, target_boxes, tile, sigma):
+                found = 1
+            near[t] = found
+            if cuda.syncthreads_or(found) == 0:
+                continue
+            for k in range(TILE):
+                if near[k] == 0:
+                    continue
+                tile = first + k * shares
+                for i in range(components):
+                    x[t, i] = target[tile, i, t] * (sigma if i >= MATRIX else F1)
+                x[t, factor] = column_factor(columns[tile, t], uniform, mutuality) if mutuality > F0 else F1
+                cuda.syncthreads()
+                for j in range(0, TILE, 2):
+                    if isotropic:
+                        s = pair_isotropic(x, j, y0, y1, y2, b0, flat, s)
+                        s = pair_isotropic(x, j + 1, y0, y1, y2, b0, flat, s)
+                    else:
+                        s = pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, s)
+                        s = pair_anisotropic(x, j + 1, y0, y1, y2, b0, b1, b2, b3, b4, b5, s)
+                pending += 1
+                if pending == FLUSH:
+                    total = added(total, s)
+                    s = NONE
+                    pending = 0
+                cuda.syncthreads()
+            cuda.syncthreads()
+        total = added(total, s)
+        m = own * TILE + t
+        rows[share, 0, m] = total[0]
+        rows[share, 1, m] = total[1]
+        rows[share, 2, m] = total[2]
+        rows[share, 3, m] = total[3]
+        rows[share, 4, m] = total[4]
+        rows[share, 5, m] = total[5]
+        rows[share, 6, m] = total[6]
+        rows[share, 7, m] = total[7]
+        rows[share, 8, m] = total[8]
+        rows[share, 9, m] = total[9]
+        rows[share, 10, m] = total[10]
+        rows[share, 11, m] = total[11]
+
+    return convolved_rows
+
+
+convolved_rows_isotropic = _build(True, source_stamp())
+convolved_rows_anisotropic = _build(False, source_stamp())

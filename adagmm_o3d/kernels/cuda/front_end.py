@@ -1,0 +1,58 @@
+"""Numba's CUDA as the kernels see it, and how they are compiled. Importing this needs numba-cuda or the simulator."""
+
+from __future__ import annotations
+
+import hashlib
+import warnings
+from pathlib import Path
+
+import numpy as np
+from numba import cuda
+from numba.core.errors import NumbaPerformanceWarning
+
+from ...errors import DeviceError
+from .. import culling, gaussian
+from .availability import missing_front_end, simulated
+
+if (_missing := missing_front_end()) is not None:
+    raise DeviceError(f"device: 'cuda' cannot be used here: {_missing}")
+
+# A small cloud fills no GPU, and Numba need not say so.
+warnings.filterwarnings("ignore", message="Grid size", category=NumbaPerformanceWarning)
+
+# Every block has one thread for each point of a tile: one it works for, and one of those it reads at a time. The
+# simulator makes an operating system thread of each; a few are enough to see what is wrong.
+TILE = 8 if simulated() else culling.TILE
+F0, F1 = np.float32(0.0), np.float32(1.0)
+
+
+def source_stamp() -> int:
+    """A hash of every file that a kernel is made of: Numba's cache knows only the one that the kernel is in."""
+    here = Path(__file__).parent
+    files = sorted([*here.glob("*.py"), *here.parent.glob("*.py")])
+    return int(hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()[:15], 16)
+
+
+def exact(function):
+    """A function that kernels call, rounded as IEEE 754 has it. The simulator calls a plain one as well, and sooner."""
+    return function if simulated() else cuda.jit(device=True)(function)
+
+
+def fast(function):
+    """A function that kernels call, with the GPU's own 2**x, 1/x and √x (relative error below 3e-7)."""
+    return function if simulated() else cuda.jit(device=True, fastmath=True)(function)
+
+
+def kernel(function):
+    """A function that is launched; kept on disk once it is compiled."""
+    return cuda.jit(function) if simulated() else cuda.jit(cache=True)(function)
+
+
+def fast_kernel(function):
+    """The same for one that calls `fast` functions: subnormal numbers and roundings are settled for a kernel as a whole."""
+    return cuda.jit(function) if simulated() else cuda.jit(cache=True, fastmath=True)(function)
+
+
+# The formulas for the GPU.
+formulas = gaussian.build(fast)
+exact_formulas = gaussian.build(exact)

@@ -1,0 +1,68 @@
+"""The source as it lies at a pose, its matrices turned and scaled, with the boxes of its tiles."""
+
+from numba import float32
+
+from .front_end import F0, F1, TILE, cuda, exact_formulas, kernel, source_stamp
+from .tiles import BOX_VARIANCE, MATRIX, SHARE
+
+rotate_point, rotate_symmetric = exact_formulas.rotate_point, exact_formulas.rotate_symmetric
+
+
+def _build(isotropic, stamp):
+    """The kernel for one kind of matrices; `stamp` keeps its cache fresh."""
+
+    @kernel
+    def move_source(pose, scale, flat, source, source_boxes, moved, moved_boxes):
+        """One block for each tile. `flat`: the matrices are covariances in the plane, to which zz = 1 is added."""
+        _ = stamp
+        corners = cuda.shared.array((TILE, 6), float32)
+        tile = cuda.blockIdx.x
+        t = cuda.threadIdx.x
+        x, y, z = rotate_point(pose, source[tile, 0, t], source[tile, 1, t], source[tile, 2, t])
+        moved[tile, 0, t] = x
+        moved[tile, 1, t] = y
+        moved[tile, 2, t] = z
+        moved[tile, SHARE, t] = source[tile, SHARE, t]
+        if isotropic:
+            moved[tile, MATRIX, t] = source[tile, MATRIX, t] * scale
+        else:
+            p0, p1, p2, p3, p4, p5 = rotate_symmetric(
+                pose,
+                source[tile, MATRIX, t] * scale,
+                source[tile, MATRIX + 1, t] * scale,
+                source[tile, MATRIX + 2, t] * scale,
+                source[tile, MATRIX + 3, t] * scale,
+                source[tile, MATRIX + 4, t] * scale,
+                source[tile, MATRIX + 5, t] * scale,
+            )
+            moved[tile, MATRIX, t] = p0
+            moved[tile, MATRIX + 1, t] = p1
+            moved[tile, MATRIX + 2, t] = p2
+            moved[tile, MATRIX + 3, t] = p3
+            moved[tile, MATRIX + 4, t] = p4
+            moved[tile, MATRIX + 5, t] = p5 + (F1 if flat else F0)
+        corners[t, 0] = x
+        corners[t, 1] = y
+        corners[t, 2] = z
+        corners[t, 3] = x
+        corners[t, 4] = y
+        corners[t, 5] = z
+        width = TILE // 2
+        while width > 0:
+            cuda.syncthreads()
+            if t < width:
+                for k in range(3):
+                    corners[t, k] = min(corners[t, k], corners[t + width, k])
+                    corners[t, k + 3] = max(corners[t, k + 3], corners[t + width, k + 3])
+            width //= 2
+        cuda.syncthreads()
+        if t < 6:
+            moved_boxes[tile, t] = corners[0, t]
+        elif t < 8:
+            moved_boxes[tile, t] = source_boxes[tile, BOX_VARIANCE + t - 6]
+
+    return move_source
+
+
+move_isotropic = _build(True, source_stamp())
+move_anisotropic = _build(False, source_stamp())

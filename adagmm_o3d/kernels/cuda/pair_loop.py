@@ -1,0 +1,264 @@
+"""Two mixtures on the GPU, and one pass over all their pairs: the twin of `kernels.pair_loop.PairLoop`.
+
+Points and matrices are uploaded once. A pass sends a pose and a few numbers, and gets TOTAL_SUMS or a few more back; what
+there is for every point stays on the device until it is read.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...arguments import Array
+from ...mixture import Mixture
+from ..compiling import LOG2_SCALE
+from ..layout import GRADIENT, HESSIAN, TOTAL_ENERGY, TOTAL_LIKELIHOOD, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
+from ..pair_loop import PairSums, PosteriorSums, _Side, _symmetric, _total
+from . import adaptive_rows, convolved_columns, convolved_rows, moving, nearest, reductions
+from .front_end import TILE, cuda
+from .held import Held, Turn, upload
+from .reductions import COLUMN_LIKELIHOOD, COLUMN_MATCHED, COLUMN_SUMS
+from .tiles import boxes, point_tiles, tiled
+
+# Blocks that fill a large GPU; few tiles on one side are made up for by cutting the other into up to MOST_SHARES.
+WANTED_BLOCKS = 2048
+MOST_SHARES = 32
+
+
+class _Kernels(NamedTuple):
+    """The kernels for one kind of matrices."""
+
+    move: Any
+    adaptive_rows: Any
+    convolved_rows: Any
+    convolved_columns: Any
+    reduce_adaptive: Any
+
+
+ISOTROPIC = _Kernels(
+    moving.move_isotropic,
+    adaptive_rows.adaptive_rows_isotropic,
+    convolved_rows.convolved_rows_isotropic,
+    convolved_columns.convolved_columns_isotropic,
+    reductions.reduce_adaptive_isotropic,
+)
+ANISOTROPIC = _Kernels(
+    moving.move_anisotropic,
+    adaptive_rows.adaptive_rows_anisotropic,
+    convolved_rows.convolved_rows_anisotropic,
+    convolved_columns.convolved_columns_anisotropic,
+    reductions.reduce_adaptive_anisotropic,
+)
+
+
+class CudaPairSums(PairSums):
+    """`PairSums` whose row_weights are read from the device when they are asked for."""
+
+    def __init__(self, total: Array, rows: Held) -> None:
+        self.__dict__.update(_of_total(total), _rows=rows)
+
+    @cached_property
+    def row_weights(self) -> Array:  # type: ignore[override]
+        return self.__dict__["_rows"].read()
+
+
+class CudaPosteriorSums(PosteriorSums):
+    """`PosteriorSums` whose row_weights are read from the device when they are asked for."""
+
+    def __init__(self, total: Array, columns: Array, rows: Held) -> None:
+        self.__dict__.update(
+            _of_total(total),
+            _rows=rows,
+            log_likelihood=float(total[TOTAL_LIKELIHOOD] + columns[COLUMN_LIKELIHOOD]),
+            overlap=float(total[TOTAL_MATCHED]),
+            target_overlap=float(columns[COLUMN_MATCHED]),
+        )
+
+    @cached_property
+    def row_weights(self) -> Array:  # type: ignore[override]
+        return self.__dict__["_rows"].read()
+
+
+def _of_total(total: Array) -> dict[str, Any]:
+    """The fields of `PairSums` that are in layout.TOTAL_SUMS."""
+    total = _total(total[None])
+    return {
+        "hessian": _symmetric(total[HESSIAN:GRADIENT]),
+        "gradient": total[GRADIENT:TOTAL_WEIGHT],
+        "weight": float(total[TOTAL_WEIGHT]),
+        "energy": float(total[TOTAL_ENERGY]),
+    }
+
+
+class CudaPairLoop:
+    """The pairs of a source and a target mixture (normalised coordinates), evaluated on the current CUDA device."""
+
+    def __init__(self, source: Mixture, target: Mixture) -> None:
+        isotropic = source.isotropic and target.isotropic
+        self._kernels = ISOTROPIC if isotropic else ANISOTROPIC
+        self._flat = source.dimension == 2
+        self._source, self._target = _Side(source, isotropic), _Side(target, isotropic)
+        self._source_boxes, self._target_boxes = (
+            upload(boxes(side.points, side.variances, side.bits)) for side in (self._source, self._target)
+        )
+        self._source_tiles, self._target_tiles = len(self._source_boxes), len(self._target_boxes)
+        self._row_shares = _shares(self._source_tiles, self._target_tiles)
+        self._column_shares = _shares(self._target_tiles, self._source_tiles)
+        m, n = self._source_tiles * TILE, self._target_tiles * TILE
+        self._moved = cuda.device_array((self._source_tiles, 5 if isotropic else 10, TILE), np.float32)
+        self._moved_boxes = cuda.device_array(self._source_boxes.shape, np.float32)
+        self._rows = cuda.device_array((self._row_shares, adaptive_rows.ROWS, m), np.float64)
+        self._column_parts = cuda.device_array((self._column_shares, n), np.float64)
+        self._row_partials = cuda.device_array((TOTAL_SUMS, self._source_tiles), np.float64)
+        self._column_partials = cuda.device_array((COLUMN_SUMS, self._target_tiles), np.float64)
+        self._totals = cuda.device_array(TOTAL_SUMS + COLUMN_SUMS, np.float64)
+        self._row_turn = Turn([(m, np.float64)], self._source.restore, len(source))
+        self._column_turn = Turn(
+            [(n, np.float64), ((self._target_tiles, TILE), np.float32)], self._target.restore, len(target)
+        )
+
+    def sums(self, pose: Array, source_sigma: float, target_sigma: float) -> CudaPairSums:
+        """As `PairLoop.sums`."""
+        source, target, amplitudes = self._precisions
+        source_sigma, target_sigma = np.float32(source_sigma), np.float32(target_sigma)
+        self._move(pose, np.float32(1.0) / source_sigma, False, source)
+        self._kernels.adaptive_rows[(self._source_tiles, self._row_shares), TILE](
+            self._moved,
+            self._moved_boxes,
+            source_sigma,
+            target,
+            self._target_boxes,
+            target_sigma,
+            np.float32(1.0) / target_sigma,
+            self._rows,
+        )
+        weights = self._row_turn.take()
+        self._kernels.reduce_adaptive[self._source_tiles, TILE](
+            self._moved, self._rows, amplitudes, weights.buffers[0], self._row_partials
+        )
+        return CudaPairSums(self._add_up(TOTAL_SUMS)[:TOTAL_SUMS], weights)
+
+    def posterior_sums(
+        self,
+        pose: Array,
+        sigma: float,
+        uniform: float,
+        column_densities: ArrayLike | Held | None = None,
+        mutuality: float = 0.0,
+    ) -> tuple[CudaPosteriorSums, Held]:
+        """As `PairLoop.posterior_sums`; the column densities are on the device, and `numpy.asarray` reads them."""
+        source, target, source_weights, target_weights = self._covariances
+        scale = np.float32(sigma)
+        unit = LOG2_SCALE ** (1.0 if self._flat else 1.5)  # |Σ|^(-1/2) in powers of two
+        self._move(pose, scale, self._flat, source)
+        self._kernels.convolved_columns[(self._target_tiles, self._column_shares), TILE](
+            target, self._target_boxes, scale, self._flat, self._moved, self._moved_boxes, self._column_parts
+        )
+        columns = self._column_turn.take()
+        densities, densities32 = columns.buffers
+        reductions.reduce_columns[self._target_tiles, TILE](
+            self._column_parts,
+            unit,
+            target_weights,
+            uniform,
+            densities,
+            densities32,
+            self._column_partials,
+        )
+        self._kernels.convolved_rows[(self._source_tiles, self._row_shares), TILE](
+            self._moved,
+            self._moved_boxes,
+            target,
+            self._target_boxes,
+            scale,
+            self._flat,
+            self._old_columns(column_densities, densities32, mutuality),
+            np.float32(uniform),
+            np.float32(mutuality),
+            self._rows,
+        )
+        posteriors = self._row_turn.take()
+        reductions.reduce_convolved[self._source_tiles, TILE](
+            self._moved,
+            self._rows,
+            source_weights,
+            uniform * unit,
+            mutuality,
+            posteriors.buffers[0],
+            self._row_partials,
+        )
+        totals = self._add_up(TOTAL_SUMS + COLUMN_SUMS)
+        return CudaPosteriorSums(totals[:TOTAL_SUMS], totals[TOTAL_SUMS:], posteriors), columns
+
+    def nearest_sq(self, pose: Array) -> Array:
+        """As `PairLoop.nearest_sq`."""
+        source, target, _ = self._precisions
+        self._move(pose, np.float32(1.0), False, source)
+        nearest.nearest_sq[(self._source_tiles, self._row_shares), TILE](
+            self._moved, self._moved_boxes, target, self._target_boxes, self._nearest_parts
+        )
+        reductions.reduce_nearest[self._source_tiles, TILE](self._nearest_parts, self._nearest)
+        distances = self._nearest.copy_to_host()[: len(self._source.order)]
+        return self._source.restore(distances.astype(np.float64))
+
+    def work_arrays(self) -> list[Any]:
+        """Every array on the device that a pass fills before it reads it; a check may spoil them beforehand."""
+        arrays = [self._moved, self._moved_boxes, self._rows, self._column_parts, self._row_partials]
+        arrays += [self._column_partials, self._totals, self._nearest_parts, self._nearest]
+        return arrays + self._row_turn.arrays() + self._column_turn.arrays()
+
+    @cached_property
+    def _precisions(self) -> tuple[Any, Any, Any]:
+        """Tiles of source and target with their precisions, and the source's amplitudes."""
+        source, target = self._source, self._target
+        return (
+            upload(point_tiles(source.points, source.amplitudes, source.precisions())),
+            upload(point_tiles(target.points, target.amplitudes, target.precisions())),
+            upload(tiled(source.amplitudes.astype(np.float64), 0.0)),
+        )
+
+    @cached_property
+    def _covariances(self) -> tuple[Any, Any, Any, Any]:
+        """Tiles of source and target with their covariances, and the weights of either."""
+        source, target = self._source, self._target
+        return (
+            upload(point_tiles(source.points, source.weights32, source.covariances())),
+            upload(point_tiles(target.points, target.weights32, target.covariances())),
+            upload(tiled(source.weights, 0.0)),
+            upload(tiled(target.weights, 0.0)),
+        )
+
+    @cached_property
+    def _nearest_parts(self) -> Any:
+        return cuda.device_array((self._row_shares, self._source_tiles * TILE), np.float32)
+
+    @cached_property
+    def _nearest(self) -> Any:
+        return cuda.device_array(self._source_tiles * TILE, np.float32)
+
+    def _move(self, pose: Array, scale: np.float32, flat: bool, source: Any) -> None:
+        rows = tuple(np.float32(p) for p in pose[:3].ravel())
+        self._kernels.move[self._source_tiles, TILE](
+            rows, scale, flat, source, self._source_boxes, self._moved, self._moved_boxes
+        )
+
+    def _old_columns(self, densities: ArrayLike | Held | None, unused: Any, mutuality: float) -> Any:
+        """(target tiles, TILE) float32 column densities on the device; any such array where they have no part."""
+        if mutuality == 0.0:
+            return unused
+        if isinstance(densities, Held) and self._column_turn.holds(densities):
+            return densities.buffers[1]
+        assert densities is not None
+        return upload(tiled(np.asarray(densities)[self._target.order].astype(np.float32), 0.0))
+
+    def _add_up(self, sums: int) -> Array:
+        reductions.total[sums, reductions.ADDERS](self._row_partials, self._column_partials, self._totals)
+        return self._totals.copy_to_host()
+
+
+def _shares(own_tiles: int, other_tiles: int) -> int:
+    """Into how many shares the other side is cut; the same on every device, and with it the order of all sums."""
+    return max(1, min(WANTED_BLOCKS // own_tiles, MOST_SHARES, other_tiles))

@@ -1,0 +1,260 @@
+"""From the sums of every source point to the few numbers that the M-step needs, in float64 and always in one order.
+
+The shares of the other cloud are added up for each point, the points of a tile by one block, the tiles by `total`.
+"""
+
+import math
+
+from numba import float64
+
+from ..layout import (
+    ENERGY,
+    HESSIAN,
+    PRECISION,
+    PULL,
+    TOTAL_ENERGY,
+    TOTAL_LIKELIHOOD,
+    TOTAL_MATCHED,
+    TOTAL_SUMS,
+    TOTAL_WEIGHT,
+    TURN,
+    WEIGHT,
+)
+from .convolved_rows import ROW_DENSITY
+from .front_end import F0, TILE, cuda, exact, exact_formulas, kernel, source_stamp
+from .tiles import MATRIX
+
+normal_equations = exact_formulas.normal_equations
+
+# Threads that add up the tiles of one sum.
+ADDERS = 4 * TILE
+# Sums over the target's tiles: of the likelihood, and of the probability to have a partner.
+COLUMN_LIKELIHOOD, COLUMN_MATCHED = 0, 1
+COLUMN_SUMS = 2
+# One column more than needed spreads a column over the banks of the shared memory.
+PADDED = TILE + 1
+
+
+@exact
+def summed(rows, i, m):
+    """Sum i of point m over all shares."""
+    total = 0.0
+    for share in range(rows.shape[0]):
+        total += rows[share, i, m]
+    return total
+
+
+@exact
+def store_normal_equations(sums, t, terms):
+    """The 27 `terms` of point t into layout.HESSIAN to TOTAL_WEIGHT; one by one, as a tuple has no index at run time."""
+    sums[HESSIAN, t] = terms[0]
+    sums[HESSIAN + 1, t] = terms[1]
+    sums[HESSIAN + 2, t] = terms[2]
+    sums[HESSIAN + 3, t] = terms[3]
+    sums[HESSIAN + 4, t] = terms[4]
+    sums[HESSIAN + 5, t] = terms[5]
+    sums[HESSIAN + 6, t] = terms[6]
+    sums[HESSIAN + 7, t] = terms[7]
+    sums[HESSIAN + 8, t] = terms[8]
+    sums[HESSIAN + 9, t] = terms[9]
+    sums[HESSIAN + 10, t] = terms[10]
+    sums[HESSIAN + 11, t] = terms[11]
+    sums[HESSIAN + 12, t] = terms[12]
+    sums[HESSIAN + 13, t] = terms[13]
+    sums[HESSIAN + 14, t] = terms[14]
+    sums[HESSIAN + 15, t] = terms[15]
+    sums[HESSIAN + 16, t] = terms[16]
+    sums[HESSIAN + 17, t] = terms[17]
+    sums[HESSIAN + 18, t] = terms[18]
+    sums[HESSIAN + 19, t] = terms[19]
+    sums[HESSIAN + 20, t] = terms[20]
+    sums[HESSIAN + 21, t] = terms[21]
+    sums[HESSIAN + 22, t] = terms[22]
+    sums[HESSIAN + 23, t] = terms[23]
+    sums[HESSIAN + 24, t] = terms[24]
+    sums[HESSIAN + 25, t] = terms[25]
+    sums[HESSIAN + 26, t] = terms[26]
+
+
+@exact
+def reduce_tile(sums, count, tile, partials):
+    """Add up the `count` sums of the threads of a block, each in the order of the points."""
+    t = cuda.threadIdx.x
+    cuda.syncthreads()
+    for i in range(t, count, TILE):
+        total = 0.0
+        for k in range(TILE):
+            total += sums[i, k]
+        partials[i, tile] = total
+
+
+def _build_adaptive(isotropic, stamp):
+    @kernel
+    def reduce_adaptive(moved, rows, amplitudes, row_weights, partials):
+        """One block for each source tile; see `adaptive_rows`.
+
+        amplitudes (tiles, TILE), row_weights (tiles x TILE,) and partials (TOTAL_SUMS, tiles) float64; the latter two
+        are overwritten.
+        """
+        _ = stamp
+        sums = cuda.shared.array((TOTAL_SUMS, PADDED), float64)
+        tile = cuda.blockIdx.x
+        t = cuda.threadIdx.x
+        m = tile * TILE + t
+        amplitude = amplitudes[tile, t]
+        w = amplitude * summed(rows, WEIGHT, m)
+        b0 = moved[tile, MATRIX, t]
+        if isotropic:
+            b1 = b2 = b4 = F0
+            b3 = b5 = b0
+        else:
+            b1, b2, b3 = moved[tile, MATRIX + 1, t], moved[tile, MATRIX + 2, t], moved[tile, MATRIX + 3, t]
+            b4, b5 = moved[tile, MATRIX + 4, t], moved[tile, MATRIX + 5, t]
+        terms = normal_equations(
+            moved[tile, 0, t],
+            moved[tile, 1, t],
+            moved[tile, 2, t],
+            amplitude * summed(rows, PRECISION, m) + w * b0,
+            amplitude * summed(rows, PRECISION + 1, m) + w * b1,
+            amplitude * summed(rows, PRECISION + 2, m) + w * b2,
+            amplitude * summed(rows, PRECISION + 3, m) + w * b3,
+            amplitude * summed(rows, PRECISION + 4, m) + w * b4,
+            amplitude * summed(rows, PRECISION + 5, m) + w * b5,
+            amplitude * summed(rows, PULL, m),
+            amplitude * summed(rows, PULL + 1, m),
+            amplitude * summed(rows, PULL + 2, m),
+            amplitude * summed(rows, TURN, m),
+            amplitude * summed(rows, TURN + 1, m),
+            amplitude * summed(rows, TURN + 2, m),
+        )
+        store_normal_equations(sums, t, terms)
+        sums[TOTAL_WEIGHT, t] = w
+        sums[TOTAL_ENERGY, t] = amplitude * summed(rows, ENERGY, m)
+        sums[TOTAL_LIKELIHOOD, t] = 0.0
+        sums[TOTAL_MATCHED, t] = 0.0
+        row_weights[m] = w
+        reduce_tile(sums, TOTAL_SUMS, tile, partials)
+
+    return reduce_adaptive
+
+
+def _build_convolved(stamp):
+    @kernel
+    def reduce_convolved(moved, rows, weights, uniform, mutuality, posteriors, partials):
+        """One block for each source tile; see `convolved_rows`. `uniform` is in the units of the rows.
+
+        weights (tiles, TILE), posteriors (tiles x TILE,) and partials (TOTAL_SUMS, tiles) float64; the latter two are
+        overwritten.
+        """
+        _ = stamp
+        sums = cuda.shared.array((TOTAL_SUMS, PADDED), float64)
+        tile = cuda.blockIdx.x
+        t = cuda.threadIdx.x
+        m = tile * TILE + t
+        weight = weights[tile, t]
+        density = summed(rows, ROW_DENSITY, m)
+        posterior = 1.0 / (density + uniform)
+        scale = weight * posterior ** (1.0 - mutuality) * uniform**-mutuality
+        terms = normal_equations(
+            moved[tile, 0, t],
+            moved[tile, 1, t],
+            moved[tile, 2, t],
+            scale * summed(rows, PRECISION, m),
+            scale * summed(rows, PRECISION + 1, m),
+            scale * summed(rows, PRECISION + 2, m),
+            scale * summed(rows, PRECISION + 3, m),
+            scale * summed(rows, PRECISION + 4, m),
+            scale * summed(rows, PRECISION + 5, m),
+            scale * summed(rows, PULL, m),
+            scale * summed(rows, PULL + 1, m),
+            scale * summed(rows, PULL + 2, m),
+            0.0,
+            0.0,
+            0.0,
+        )
+        store_normal_equations(sums, t, terms)
+        sums[TOTAL_WEIGHT, t] = scale * summed(rows, WEIGHT, m)
+        sums[TOTAL_ENERGY, t] = scale * summed(rows, ENERGY, m)
+        sums[TOTAL_LIKELIHOOD, t] = weight * math.log1p(density / uniform)
+        sums[TOTAL_MATCHED, t] = weight * density * posterior
+        posteriors[m] = density * posterior
+        reduce_tile(sums, TOTAL_SUMS, tile, partials)
+
+    return reduce_convolved
+
+
+def _build_columns(stamp):
+    @kernel
+    def reduce_columns(parts, unit, weights, uniform, densities, densities32, partials):
+        """One block for each target tile; see `convolved_columns`.
+
+        unit : what a density is divided by to leave the kernels' powers of two; `uniform` has left them.
+        weights (tiles, TILE), densities (tiles x TILE,) and partials (COLUMN_SUMS, tiles) float64, densities32 (tiles,
+        TILE) float32, in the units of the rows, for the next pass; the latter three are overwritten.
+        """
+        _ = stamp
+        sums = cuda.shared.array((COLUMN_SUMS, PADDED), float64)
+        tile = cuda.blockIdx.x
+        t = cuda.threadIdx.x
+        m = tile * TILE + t
+        density = 0.0
+        for share in range(parts.shape[0]):
+            density += parts[share, m]
+        density /= unit
+        densities[m] = density
+        densities32[tile, t] = density
+        sums[COLUMN_LIKELIHOOD, t] = weights[tile, t] * math.log1p(density / uniform)
+        sums[COLUMN_MATCHED, t] = weights[tile, t] * density / (density + uniform)
+        reduce_tile(sums, COLUMN_SUMS, tile, partials)
+
+    return reduce_columns
+
+
+def _build_nearest(stamp):
+    @kernel
+    def reduce_nearest(parts, nearest):
+        """One thread for each source point: the smallest of its shares (see `nearest_sq`) into `nearest` (tiles x TILE,)."""
+        _ = stamp
+        m = cuda.blockIdx.x * TILE + cuda.threadIdx.x
+        best = parts[0, m]
+        for share in range(1, parts.shape[0]):
+            best = min(best, parts[share, m])
+        nearest[m] = best
+
+    return reduce_nearest
+
+
+def _build_total(stamp):
+    @kernel
+    def total(row_partials, column_partials, totals):
+        """One block for each sum: those of the source's tiles, then those of the target's, into `totals` (blocks,)."""
+        _ = stamp
+        sums = cuda.shared.array(ADDERS, float64)
+        i = cuda.blockIdx.x
+        t = cuda.threadIdx.x
+        s = 0.0
+        if i < TOTAL_SUMS:
+            for tile in range(t, row_partials.shape[1], ADDERS):
+                s += row_partials[i, tile]
+        else:
+            for tile in range(t, column_partials.shape[1], ADDERS):
+                s += column_partials[i - TOTAL_SUMS, tile]
+        sums[t] = s
+        width = ADDERS // 2
+        while width > 0:
+            cuda.syncthreads()
+            if t < width:
+                sums[t] += sums[t + width]
+            width //= 2
+        if t == 0:
+            totals[i] = sums[0]
+
+    return total
+
+
+reduce_adaptive_isotropic = _build_adaptive(True, source_stamp())
+reduce_adaptive_anisotropic = _build_adaptive(False, source_stamp())
+reduce_convolved = _build_convolved(source_stamp())
+reduce_columns = _build_columns(source_stamp())
+reduce_nearest = _build_nearest(source_stamp())
+total = _build_total(source_stamp())

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import fields
 from importlib import metadata
 
+from adagmm_fusion.commands import convert, info
 from adagmm_o3d.errors import AdaGMMError
 
 SETTINGS_OPTIONS = {
@@ -42,6 +43,8 @@ def parser() -> argparse.ArgumentParser:
     commands = top.add_subparsers(required=True, metavar="COMMAND")
     _add_run(commands)
     _add_simulate(commands)
+    info.add(commands)
+    convert.add(commands)
     return top
 
 

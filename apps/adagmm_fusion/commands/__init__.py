@@ -1,0 +1,1 @@
+"""Sub-commands of `adagmm-fusion`, one file each: `add(commands)` gives it its arguments, and imports little."""

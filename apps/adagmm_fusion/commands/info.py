@@ -1,0 +1,40 @@
+"""`adagmm-fusion info`: what is in a recording."""
+
+import argparse
+import sys
+
+from adagmm_fusion.commands.recording_arguments import add_recording_arguments, recording_of
+
+TABLE_WIDTH = 150  # where the output is no terminal
+
+
+def add(commands) -> None:
+    text = "Read all of a recording and say what is in it. The exit code is 1 if some of it cannot be read."
+    command = commands.add_parser("info", help="say what is in a recording", description=text)
+    add_recording_arguments(command)
+    command.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print tables about args.recording; returns the exit code, 1 if a frame cannot be read.
+
+    Raises
+    ------
+    AdaGMMError  if the recording cannot be opened.
+    """
+    from rich.console import Console
+
+    from adagmm_fusion.commands.progress import progress_bar
+    from adagmm_fusion.recording_summary import summarize_recording, summary_tables
+
+    recording = recording_of(args)
+    with progress_bar(recording.name) as report:
+        summary = summarize_recording(recording, on_frame=report)
+    console = Console(highlight=False, soft_wrap=True)
+    if not console.is_terminal:
+        console = Console(highlight=False, soft_wrap=True, width=TABLE_WIDTH)
+    for table in summary_tables(summary):
+        console.print(table)
+    for problem in summary.problems:
+        print(f"adagmm-fusion: {' '.join(problem.split())}", file=sys.stderr)
+    return 1 if summary.problems else 0

@@ -1,0 +1,29 @@
+"""The arguments that say which recording, and how to read it."""
+
+import argparse
+
+from adagmm_fusion.frame_sequence import Recording
+
+
+def add_recording_arguments(command: argparse.ArgumentParser) -> None:
+    """RECORDING, --format, --calibration and --step."""
+    from adagmm_fusion.formats import FORMATS
+
+    command.add_argument("recording", metavar="RECORDING", help="the recording; see recordings/README.md")
+    command.add_argument("--format", choices=sorted(FORMATS), help="the recording's format (default: looked for)")
+    command.add_argument("--calibration", metavar="RIG", help="a rig file instead of the recording's own calibration")
+    command.add_argument(
+        "--step",
+        type=int,
+        default=1,
+        metavar="N",
+        help="frames between the two of a pair, for one moving sensor whose recording lists no pairs "
+        "(default: %(default)s)",
+    )
+
+
+def recording_of(args: argparse.Namespace) -> Recording:
+    """Open what the arguments name. Raises RecordingError, RigError or InputError as open_recording does."""
+    from adagmm_fusion.recording import open_recording
+
+    return open_recording(args.recording, format=args.format, rig=args.calibration, step=args.step)

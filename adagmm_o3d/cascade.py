@@ -9,10 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
-from .coarse import merge, sample
+from .arguments import Array
+from .coarse import MergedMixture, merge, sample
 from .em import Criteria, Outcome, expectation_maximisation
 from .expectation import SIGMA_FLOOR, PosteriorExpectation
 from .kernels.pair_loop import PairLoop
@@ -37,68 +39,102 @@ PROBES = 150
 SPACING_FROM = 20_000
 
 
-def register_trusted(source: Mixture, target: Mixture, starts: list[Start]) -> tuple[End, End]:
-    """The likeliest of the starts, on the merged level and carried on to the deciding one."""
-    ends = run_starts(merge(source, MERGED), merge(target, MERGED), starts, limits=MERGED_LIMITS, level=0)
-    merged = max(ends, key=lambda end: end.log_likelihood)
-    size = DECIDING if max(len(source), len(target)) > SMALL else SMALL
-    return merged, _decide(source, target, [merged], size)[0]
+class Cascade:
+    """Two normalised mixtures and their coarser levels, each made when it is first needed.
 
+    volume : that over which points without a partner are spread, see `expectation.OPEN_VOLUME`.
+    """
 
-def is_tight(end: End, source: Mixture, target: Mixture) -> bool:
-    """Whether the residuals of an end are so small beside the spacing of the points that it must be the right one."""
-    variance = sum(float(np.median(m.variances())) for m in (source, target))
-    return math.sqrt(end.sigma * variance) <= TIGHT * _spacing(target)
+    def __init__(self, source: Mixture, target: Mixture, volume: float) -> None:
+        self.source, self.target, self.volume = source, target, volume
+        self.small = max(len(source), len(target)) <= SMALL
 
+    @cached_property
+    def _merged(self) -> tuple[MergedMixture, MergedMixture]:
+        return merge(self.source, MERGED), merge(self.target, MERGED)
 
-def search(source: Mixture, target: Mixture, starts: list[Start], trusted: tuple[End, End]) -> list[End]:
-    """The trusted end and those of other starts, likeliest first, all on the deciding level."""
-    merged, decided = trusted
-    size = DECIDING
-    if max(len(source), len(target)) <= SMALL:
-        size = SMALL_DECIDING
-        decided = _decide(source, target, [merged], size)[0]
-    ends = run_starts(merge(source, MERGED), merge(target, MERGED), starts, limits=MERGED_LIMITS, level=0)
-    kept = [end for end in distinct([merged, *ends], KEPT_MERGED, APART_MERGED) if end is not merged]
-    again = [replace(_forced(end), sigma=2.0 * MERGED_LIMITS.floor) for end in kept]
-    ranked = run_starts(sample(source, RANKING), sample(target, RANKING), again, limits=RANKING_LIMITS, level=1)
-    rivals = [
-        end
-        for end in distinct(_joined(kept, ranked), KEPT_RANKING, APART_RANKING)
-        if pose_distance(end.pose, decided.pose) > APART_DECIDING
-    ]
-    return sorted([decided, *_decide(source, target, rivals, size)], key=lambda end: -end.log_likelihood)
+    def register_trusted(self, starts: list[Start]) -> tuple[End, End]:
+        """The likeliest of the starts, on the merged level and carried on to the deciding one."""
+        ends = self._run_merged(starts)
+        merged = max(ends, key=lambda end: end.log_likelihood)
+        return merged, self._decide([merged], SMALL if self.small else DECIDING)[0]
 
+    def is_tight(self, end: End) -> bool:
+        """Whether the residuals of an end are so small beside the spacing of the points that it must be the right one."""
+        variance = sum(float(np.median(m.variances())) for m in (self.source, self.target))
+        return math.sqrt(end.sigma * variance) <= TIGHT * _spacing(self.target)
 
-def refine(
-    pairs: PairLoop,
-    end: End,
-    criteria: Criteria,
-    dimension: int,
-    *,
-    mutuality: float,
-    relaxation: float,
-    observe: Callable[[Iteration], None] | None,
-) -> Outcome:
-    """The end carried to convergence on all points."""
-    expectation = PosteriorExpectation(pairs, dimension, end.sigma, unmatched=end.unmatched, mutuality=mutuality)
-    outcome = expectation_maximisation(
-        expectation, end.pose, criteria, dimension, relaxation=relaxation, level=3, observe=observe
-    )
-    return replace(outcome, iterations=end.iterations + outcome.iterations)
+    def search(self, starts: list[Start], trusted: tuple[End, End]) -> list[End]:
+        """The trusted end and those of other starts, likeliest first, all on the deciding level."""
+        merged, decided = trusted
+        size = DECIDING
+        if self.small:
+            size = SMALL_DECIDING
+            decided = self._decide([merged], size)[0]
+        ends = self._run_merged(starts)
+        kept = [end for end in distinct([merged, *ends], KEPT_MERGED, APART_MERGED) if end is not merged]
+        again = [Start(end.pose, 2.0 * MERGED_LIMITS.floor, end.unmatched, 0.65, 6, follow=0.0) for end in kept]
+        ranked = run_starts(
+            sample(self.source, RANKING),
+            sample(self.target, RANKING),
+            again,
+            limits=RANKING_LIMITS,
+            volume=self.volume,
+            level=1,
+        )
+        rivals = [
+            end
+            for end in distinct(_joined(kept, ranked), KEPT_RANKING, APART_RANKING)
+            if pose_distance(end.pose, decided.pose) > APART_DECIDING
+        ]
+        return sorted([decided, *self._decide(rivals, size)], key=lambda end: -end.log_likelihood)
 
+    def refine(
+        self,
+        end: End,
+        criteria: Criteria,
+        *,
+        mutuality: float,
+        relaxation: float,
+        observe: Callable[[Iteration], None] | None,
+    ) -> Outcome:
+        """The end carried to convergence on all points."""
+        dimension = self.source.dimension
+        pairs = PairLoop(self.source, self.target)
+        expectation = PosteriorExpectation(
+            pairs, dimension, end.sigma, unmatched=end.unmatched, mutuality=mutuality, volume=self.volume
+        )
+        outcome = expectation_maximisation(
+            expectation, end.pose, criteria, dimension, relaxation=relaxation, level=3, observe=observe
+        )
+        return replace(outcome, iterations=end.iterations + outcome.iterations)
 
-def _decide(source: Mixture, target: Mixture, ends: list[End], size: int) -> list[End]:
-    again = [
-        Start(end.pose, end.sigma, end.unmatched, fastest=0.75, iterations=20, follow=1.0)
-        for end in ends
-    ]
-    decided = run_starts(sample(source, size), sample(target, size), again, limits=DECIDING_LIMITS, level=2)
-    return _joined(ends, decided)
+    def run_deciding(self, starts: list[Start]) -> list[End]:
+        """Run starts on the deciding level right away."""
+        size = SMALL if self.small else DECIDING
+        return run_starts(
+            sample(self.source, size),
+            sample(self.target, size),
+            starts,
+            limits=DECIDING_LIMITS,
+            volume=self.volume,
+            level=2,
+        )
 
+    def _run_merged(self, starts: list[Start]) -> list[End]:
+        return run_starts(*self._merged, starts, limits=MERGED_LIMITS, volume=self.volume, level=0)
 
-def _forced(end: End) -> Start:
-    return Start(end.pose, end.sigma, end.unmatched, fastest=0.65, iterations=6, follow=0.0)
+    def _decide(self, ends: list[End], size: int) -> list[End]:
+        again = [Start(end.pose, end.sigma, end.unmatched, fastest=0.75, iterations=20, follow=1.0) for end in ends]
+        decided = run_starts(
+            sample(self.source, size),
+            sample(self.target, size),
+            again,
+            limits=DECIDING_LIMITS,
+            volume=self.volume,
+            level=2,
+        )
+        return _joined(ends, decided)
 
 
 def _joined(before: list[End], after: list[End]) -> list[End]:
@@ -119,7 +155,7 @@ def _spacing(mixture: Mixture) -> float:
         points = points[np.random.default_rng(0).permutation(len(points))[:SPACING_FROM]]
     thinning = (len(points) / len(mixture)) ** (1.0 / (mixture.dimension - 1))
     probes = np.linspace(0, len(points) - 1, min(PROBES, len(points))).astype(np.intp)
-    nearest = np.empty(len(probes))
+    nearest: Array = np.empty(len(probes))
     for k, probe in enumerate(probes):
         distances_sq = ((points - points[probe]) ** 2).sum(axis=1)
         distances_sq[probe] = np.inf

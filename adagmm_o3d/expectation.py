@@ -9,8 +9,12 @@ from .arguments import Array
 from .kernels.pair_loop import PairLoop, PairSums, PosteriorSums
 from .sigma_rules import LEAST_SIGMA, Scale, SigmaRule
 
-# Volume of the world of a cloud of unit RMS radius, over which points without a partner are spread evenly.
-WORLD = {2: 12.0, 3: 30.0}
+# Points without a partner are spread evenly over a volume, in units of the radius to the power of the dimension: the
+# whole world of a cloud, where they may be anywhere; or little more than the clouds themselves where they are surfaces
+# that only one of the clouds has seen, next to those that both have. The smaller it is, the sooner a point that has no
+# partner nearby is let go.
+OPEN_VOLUME = {2: 12.0, 3: 30.0}
+CLOSE_VOLUME = {2: 1.0, 3: 1.0}
 # The share of such points is estimated within these bounds: never none, never nearly all.
 LEAST_UNMATCHED, MOST_UNMATCHED = 0.05, 0.7
 # No sensor resolves its cloud's shape better than this: a standard deviation of 1.6 % of the radius.
@@ -73,11 +77,12 @@ class PosteriorExpectation:
         *,
         unmatched: float,
         mutuality: float,
+        volume: float,
         fastest: float = FASTEST,
         floor: float = SIGMA_FLOOR,
     ) -> None:
         self._pairs, self._dimension = pairs, dimension
-        self._fastest, self._floor, self._mutuality = fastest, floor, mutuality
+        self._fastest, self._floor, self._mutuality, self._volume = fastest, floor, mutuality, volume
         self._columns: Array | None = None
         self.scale = Scale(sigma, sigma)
         self.unmatched = unmatched
@@ -104,9 +109,9 @@ class PosteriorExpectation:
         return sums.overlap
 
     def _uniform(self) -> float:
-        return uniform_density(self.unmatched, self._dimension)
+        return uniform_density(self.unmatched, self._dimension, self._volume)
 
 
-def uniform_density(unmatched: float, dimension: int) -> float:
+def uniform_density(unmatched: float, dimension: int, volume: float) -> float:
     """Density of the points without a partner relative to that of a mixture, without the constant (2π)^(-D/2)."""
-    return (2.0 * math.pi) ** (0.5 * dimension) / WORLD[dimension] * unmatched / (1.0 - unmatched)
+    return (2.0 * math.pi) ** (0.5 * dimension) / volume * unmatched / (1.0 - unmatched)

@@ -248,13 +248,13 @@ class Normalisation:
 def normalise(source: Mixture, target: Mixture) -> tuple[Mixture, Mixture, Normalisation]:
     """Both mixtures with their own centroid at the origin, the larger RMS radius 1 and covariances of unit scale.
 
-    Points far vaguer than the rest (flagged outliers) hardly count for centroid and radius.
+    A point counts for the centroid as far as it is certain; flagged outliers do not count for the radius either.
     """
     sides = (source, target)
     variances = [m.variances() for m in sides]
     unit = float(np.percentile(np.concatenate(variances), GOOD_PERCENTILE))
+    centres = [np.average(m.points, axis=0, weights=m.weights / v) for m, v in zip(sides, variances, strict=True)]
     weights = [m.weights * np.minimum(1.0, VAGUE * unit / v) for m, v in zip(sides, variances, strict=True)]
-    centres = [np.average(m.points, axis=0, weights=w) for m, w in zip(sides, weights, strict=True)]
     radii = [
         np.sqrt(np.average(((m.points - c) ** 2).sum(axis=1), weights=w))
         for m, c, w in zip(sides, centres, weights, strict=True)

@@ -12,20 +12,23 @@ from numpy.typing import ArrayLike
 
 from . import starts
 from .arguments import Array
-from .cascade import is_tight, refine, register_trusted, search
+from .cascade import SMALL, Cascade
 from .em import Criteria, Outcome, expectation_maximisation
 from .errors import DeviceError, InputError
-from .expectation import AdaptiveExpectation
+from .expectation import CLOSE_VOLUME, OPEN_VOLUME, AdaptiveExpectation
 from .kernels.pair_loop import PairLoop
 from .lie import project_to_rotation, split
 from .mixture import Mixture, Normalisation, make_mixture, normalise
 from .options import DEFAULT_MAX_ITERATION, DEFAULT_RELATIVE_RMSE, TransformationEstimationForAdaptiveGMM
 from .result import PointRegistrationResult, StopReason
 from .sigma_rules import Annealed, FigureTwo, NearestDistance, SigmaRule
+from .start_search import End
 from .trace import Iteration
 
 # A pose handed over by another program has float32 digits.
 INIT_TOLERANCE = 1e-4
+# A given start is believed when this share of the source has a partner where it leads.
+PLAUSIBLE = 0.1
 
 Observer = Callable[[dict[str, Any]], None]
 
@@ -53,7 +56,7 @@ def register_points(
     init : (D+1, D+1) rigid transformation source → target to start from; None leaves the start to the method.
     estimation_method : the options; None for the defaults.
     criteria : Open3D's ICPConvergenceCriteria; `relative_rmse` bounds the last step (see `em.Criteria`),
-        `max_iteration` the EM iterations. None for 1e-4 and 200.
+        `max_iteration` the EM iterations. None for 1e-3 and 200.
     device : "auto" or "cpu".
     callback_after_iteration : called after each EM iteration with a dictionary, see `registration_adaptive_gmm`.
 
@@ -84,8 +87,18 @@ def register_points(
     observe = _observer(callback_after_iteration, normalisation, dimension)
     given = None if init is None else _start_pose(init, normalisation, dimension)
     if method.sigma_rule == "posterior":
-        bases = _bases(method, given, normalisation)
-        start, outcome = _search_and_refine(moving, fixed, bases, method, limits, observe)
+        cascade, best = _find(moving, fixed, method, given, normalisation)
+        if observe is not None:
+            for iteration in best.iterations:
+                observe(iteration)
+        start = best.start
+        outcome = cascade.refine(
+            best,
+            limits,
+            mutuality=_mutuality(method, moving, fixed),
+            relaxation=method.relaxation,
+            observe=observe,
+        )
     else:
         start = np.eye(4) if given is None else given
         expectation = AdaptiveExpectation(PairLoop(moving, fixed), _sigma_rule(method, dimension), start)
@@ -95,33 +108,36 @@ def register_points(
     return _result(start, outcome, normalisation, moving, fixed)
 
 
-def _search_and_refine(
+def _find(
     source: Mixture,
     target: Mixture,
-    bases: list[Array],
     method: TransformationEstimationForAdaptiveGMM,
-    criteria: Criteria,
-    observe: Callable[[Iteration], None] | None,
-) -> tuple[Array, Outcome]:
-    """From the poses to start at, the first of which is searched around, to the outcome and the start that led to it."""
-    trusted = register_trusted(source, target, [starts.wide(base) for base in bases])
-    best = trusted[1]
-    if method.search and not is_tight(best, source, target):
-        others = [*starts.around(bases[0], source.dimension), *(starts.narrow(base) for base in bases[1:])]
-        best = search(source, target, others, trusted)[0]
-    if observe is not None:
-        for iteration in best.iterations:
-            observe(iteration)
-    outcome = refine(
-        PairLoop(source, target),
-        best,
-        criteria,
-        source.dimension,
-        mutuality=method.mutuality,
-        relaxation=method.relaxation,
-        observe=observe,
-    )
-    return best.start, outcome
+    given: Array | None,
+    normalisation: Normalisation,
+) -> tuple[Cascade, End]:
+    """The end to refine, on the deciding level, and the cascade that found it."""
+    dimension = source.dimension
+    centroids, identity = np.eye(4), normalisation.pose_in(np.eye(4))
+    if given is not None and not np.allclose(given, identity):
+        near = Cascade(source, target, CLOSE_VOLUME[dimension])
+        best = max(near.run_deciding(starts.near(given)), key=lambda end: end.log_likelihood)
+        if best.iterations[-1].matched >= PLAUSIBLE:
+            return near, best
+        bases = [given]
+    else:
+        bases = {"auto": [centroids, identity], "centroids": [centroids], "init": [identity]}[method.start]
+    cascade = Cascade(source, target, OPEN_VOLUME[dimension])
+    trusted = cascade.register_trusted([starts.wide(base) for base in bases])
+    if not method.search or cascade.is_tight(trusted[1]):
+        return cascade, trusted[1]
+    others = [*starts.around(bases[0], dimension), *(starts.narrow(base) for base in bases[1:])]
+    return cascade, cascade.search(others, trusted)[0]
+
+
+def _mutuality(method: TransformationEstimationForAdaptiveGMM, source: Mixture, target: Mixture) -> float:
+    if method.mutuality is not None:
+        return method.mutuality
+    return 0.5 if max(len(source), len(target)) > SMALL else 0.0
 
 
 def _check_device(device: str) -> None:
@@ -137,20 +153,6 @@ def _criteria(criteria: Any) -> Criteria:
     if not criteria.relative_rmse >= 0:
         raise InputError(f"criteria.relative_rmse: expected a number >= 0, got {criteria.relative_rmse}")
     return Criteria(float(criteria.relative_rmse), int(criteria.max_iteration))
-
-
-def _bases(
-    method: TransformationEstimationForAdaptiveGMM, given: Array | None, normalisation: Normalisation
-) -> list[Array]:
-    """The poses to start at, between normalised clouds."""
-    centroids, identity = np.eye(4), normalisation.pose_in(np.eye(4))
-    if method.start == "centroids":
-        return [centroids]
-    if method.start == "init":
-        return [identity if given is None else given]
-    if given is None or np.allclose(given, identity):
-        return [centroids, identity]
-    return [given]
 
 
 def _start_pose(init: ArrayLike, normalisation: Normalisation, dimension: int) -> Array:

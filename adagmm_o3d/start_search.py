@@ -9,14 +9,11 @@ import numpy as np
 
 from .arguments import Array
 from .coarse import MergedMixture
-from .expectation import MOST_UNMATCHED, WORLD
+from .expectation import MOST_UNMATCHED
 from .kernels import search as kernel
 from .kernels.compiling import LOG2_SCALE
 from .mixture import PACKED
 from .trace import Iteration
-
-# Ends are compared at this share of unmatched points, each at its own σ.
-JUDGED_UNMATCHED = 0.1
 
 
 @dataclass(frozen=True)
@@ -37,13 +34,16 @@ class Start:
 
 @dataclass(frozen=True)
 class Limits:
-    """How far EM goes on a level: the floor of σ, the least share of unmatched points, and the last step ‖δ‖: `step`,
-    or √(relative_rmse · σ) where that is more."""
+    """How far EM goes on a level, and how its ends are compared.
+
+    floor : least σ.   least_unmatched : least share of points without a partner.   step : the last step ‖δ‖.
+    judged_unmatched : the share of points without a partner at which ends are compared, each at its own σ.
+    """
 
     floor: float
     least_unmatched: float
-    step: float = 0.0
-    relative_rmse: float = 0.0
+    step: float
+    judged_unmatched: float = 0.1
 
 
 @dataclass(frozen=True)
@@ -65,15 +65,17 @@ def run_starts(
     starts: list[Start],
     *,
     limits: Limits,
+    volume: float,
     level: int,
 ) -> list[End]:
-    """Run EM from every start; the ends, in the order of the starts."""
+    """Run EM from every start; the ends, in the order of the starts.
+
+    `volume` is that over which points without a partner are spread, see `expectation.OPEN_VOLUME`.
+    """
     if not starts:
         return []
     poses = np.array([s.pose[:3].ravel() for s in starts])
-    columns = np.array(
-        [[s.sigma, s.unmatched, s.fastest, s.iterations, s.follow] for s in starts], np.float64
-    )
+    columns = np.array([[s.sigma, s.unmatched, s.fastest, s.iterations, s.follow] for s in starts], np.float64)
     ends = np.empty((len(starts), kernel.END_COLUMNS))
     history = np.empty((len(starts), max(s.iterations for s in starts), kernel.HISTORY_COLUMNS))
     half = 0.5 * source.dimension
@@ -83,10 +85,10 @@ def run_starts(
         _packed(source),
         _packed(target),
         (source.dimension == 2, source.isotropic and target.isotropic),
-        (2.0 * math.pi * LOG2_SCALE) ** half / WORLD[source.dimension],
-        JUDGED_UNMATCHED,
+        (2.0 * math.pi * LOG2_SCALE) ** half / volume,
+        limits.judged_unmatched,
         (limits.floor, limits.least_unmatched, MOST_UNMATCHED),
-        (limits.step, limits.relative_rmse),
+        limits.step,
         ends,
         history,
     )

@@ -147,18 +147,17 @@ def _build(stamp):
     """The kernel that is called from Python; `stamp` keeps its cache fresh."""
 
     @njit(**KERNEL_FLAGS)
-    def search(poses, starts, source, target, kind, world, judged, bounds, tolerances, ends, history):
+    def search(poses, starts, source, target, kind, world, judged, bounds, step, ends, history):
         """Run every start; `poses` (S, 12) move, `ends` tell σ, the unmatched share and the likelihood at a common scale.
 
         world : density of a uniform mixture of all points.   judged : unmatched share at which ends are compared, each at its own σ.
-        bounds : (floor of σ, least, greatest unmatched share).   tolerances : a start is done when ‖δ‖ is below the
-        first or, squared, below the second times σ, and σ has settled.   history : (S, most iterations, HISTORY_COLUMNS).
+        bounds : (floor of σ, least, greatest unmatched share).   step : a start is done when ‖δ‖ is below and σ has settled.
+        history : (S, most iterations, HISTORY_COLUMNS).
         """
         _ = stamp
         floor, least, greatest = bounds
         planar = kind[0]
         dimension = 2 if planar else 3
-        absolute, relative = tolerances
         n_all = target[0].shape[1]
         for s in prange(starts.shape[0]):
             pose = poses[s]
@@ -192,7 +191,7 @@ def _build(stamp):
                 moved = 0.0
                 for i in range(6):
                     moved += delta[i] * delta[i]
-                still = moved <= max(absolute * absolute, relative * sigma) and abs(new - sigma) < 0.01 * sigma
+                still = moved <= step * step and abs(new - sigma) < 0.01 * sigma
                 sigma = new
                 if still:
                     ends[s, END_ITERATIONS] = iteration + 1

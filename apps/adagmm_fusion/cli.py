@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import fields
 from importlib import metadata
 
-from adagmm_fusion.commands import convert, info
+from adagmm_fusion.commands import calibrate, convert, info
 from adagmm_o3d.errors import AdaGMMError
 
 SETTINGS_OPTIONS = {
@@ -15,6 +15,7 @@ SETTINGS_OPTIONS = {
     "target_points": "--target-points",
     "max_depth_m": "--max-depth",
     "partner_distance_m": "--partner-distance",
+    "start": "--start",
     "max_iteration": "--max-iteration",
     "device": "--device",
     "max_rotation_error_deg": "--max-rotation-error",
@@ -45,6 +46,7 @@ def parser() -> argparse.ArgumentParser:
     _add_simulate(commands)
     info.add(commands)
     convert.add(commands)
+    calibrate.add(commands)
     return top
 
 
@@ -52,7 +54,7 @@ def _add_run(commands) -> None:
     from adagmm_fusion.clouds import SENSOR_MODELS
     from adagmm_fusion.formats import FORMATS
     from adagmm_fusion.rerun_log import add_rerun_arguments
-    from adagmm_fusion.settings import Settings
+    from adagmm_fusion.settings import STARTS, Settings
 
     default = {field.name: field.default for field in fields(Settings)}
     text = "Register the pairs of a recording; write a report, fused clouds, the estimated rig and a Rerun recording."
@@ -90,6 +92,7 @@ def _add_run(commands) -> None:
     add(method, "voxel_size_m", float, "METRES", "edge of the averaging grid (default: as fits --target-points)")
     add(method, "target_points", int, "N", "points per cloud when the grid is chosen")
     add(method, "max_depth_m", float, "METRES", "measurements farther away are ignored")
+    add(method, "start", str, None, "from the colour images' features or the clouds alone", choices=STARTS)
     add(method, "max_iteration", int, "N", "EM iterations at most (default: the plugin's)")
     add(method, "device", str, None, "where the kernels run", choices=("auto", "cpu", "cuda"))
     add(success, "max_rotation_error_deg", float, "DEGREES", "with ground truth")

@@ -32,6 +32,8 @@ class PairRecord:
     overlap: float | None = None
     overlap_truth: float | None = None
     inlier_rmse_mm: float | None = None
+    started_from: str | None = None
+    feature_inliers: int | None = None
     estimated_overlap: float | None = None
     sigma: float | None = None
     iterations: int | None = None
@@ -40,6 +42,7 @@ class PairRecord:
     trustworthy: bool | None = None
     warnings: tuple[str, ...] = ()
     seconds_clouds: float | None = None
+    seconds_features: float | None = None
     seconds_registration: float | None = None
 
 
@@ -55,6 +58,8 @@ def pair_record(outcome: PairOutcome) -> PairRecord:
     if (estimate := outcome.estimate) is not None:
         known |= {
             "T_target_source": np.asarray(estimate.transformation).tolist(),
+            "started_from": "clouds" if outcome.features is None else "features",
+            "feature_inliers": None if outcome.features is None else outcome.features.inliers,
             "estimated_overlap": _number(estimate.overlap),
             "sigma": _number(estimate.sigma),
             "iterations": int(estimate.iterations),
@@ -85,6 +90,7 @@ def pair_record(outcome: PairOutcome) -> PairRecord:
         judged_by=outcome.judged_by,
         reason=outcome.reason,
         seconds_clouds=outcome.seconds_clouds,
+        seconds_features=outcome.seconds_features,
         seconds_registration=outcome.seconds_registration,
         **known,
     )

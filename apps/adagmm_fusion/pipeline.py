@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import open3d as o3d
 
-from adagmm_fusion.clouds import clouds_from_pair
+from adagmm_fusion.clouds import MIN_DEPTH, clouds_from_pair
+from adagmm_fusion.feature_start import FeatureStart, find_feature_start
 from adagmm_fusion.frame_sequence import Recording
 from adagmm_fusion.frames import RGBDPair
 from adagmm_fusion.settings import Settings
@@ -48,7 +49,8 @@ class PairOutcome:
     status : "ok" or "failed"; `reason` says why it failed.
     judged_by : "ground truth"; "estimate" where that is not known; "error" if the pair could not be registered at all:
         then whatever was not reached is None.
-    seconds_clouds, seconds_registration : wall time of making the clouds, and of the registration alone.
+    features : the pose the colour images agreed on, where the registration started; None where it was left to the clouds.
+    seconds_clouds, seconds_features, seconds_registration : wall time of each step.
     """
 
     pair_name: str
@@ -61,7 +63,9 @@ class PairOutcome:
     target_cloud: o3d.geometry.PointCloud | None = None
     estimate: PointRegistrationResult | None = None
     evaluation: Evaluation | None = None
+    features: FeatureStart | None = None
     seconds_clouds: float | None = None
+    seconds_features: float | None = None
     seconds_registration: float | None = None
 
     @property
@@ -92,7 +96,7 @@ def run_pairs(
 
 
 def register_pair(pair: RGBDPair, settings: Settings, callback: Callback | None = None) -> PairOutcome:
-    """Make a pair's clouds, register them with nothing known about the pose, and judge the result.
+    """Make a pair's clouds, register them without any known pose, and judge the result.
 
     `callback` goes to registration_adaptive_gmm as callback_after_iteration. Errors of ours become a failed outcome.
     """
@@ -107,12 +111,18 @@ def register_pair(pair: RGBDPair, settings: Settings, callback: Callback | None 
             max_depth=settings.max_depth_m,
         )
         reached |= {"source_cloud": source, "target_cloud": target, "seconds_clouds": time.perf_counter() - start}
+        start = time.perf_counter()
+        features = None
+        if settings.start == "features":
+            features = find_feature_start(pair, min_depth_m=MIN_DEPTH, max_depth_m=settings.max_depth_m)
+        reached |= {"features": features, "seconds_features": time.perf_counter() - start}
         distance = settings.partner_distance_m or _partner_distance(target)
         start = time.perf_counter()
         result = registration_adaptive_gmm(
             source,
             target,
             distance,
+            init=None if features is None else features.T_target_source,
             criteria=_criteria(settings),
             device=settings.device,
             callback_after_iteration=callback,

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 from adagmm_o3d.errors import InputError
 
+STARTS = ("features", "geometry")
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -15,6 +17,8 @@ class Settings:
     max_depth_m : farther measurements are ignored [m].
     partner_distance_m : how near two points must be to count as partners in fitness, inlier RMSE and overlap [m];
         None is 1.5 voxels.
+    start : "features": where the features of the two colour images agree on a pose, from there, else from the geometry
+        alone; "geometry": always that.
     max_iteration : EM iterations at most; None is the plugin's own default.
     device : "auto", "cpu" or "cuda".
     max_rotation_error_deg, max_translation_error_mm : with ground truth, a pair succeeded up to these errors.
@@ -26,6 +30,7 @@ class Settings:
     target_points: int = 3500
     max_depth_m: float = 5.0
     partner_distance_m: float | None = None
+    start: str = "features"
     max_iteration: int | None = None
     device: str = "auto"
     max_rotation_error_deg: float = 3.0
@@ -39,5 +44,7 @@ class Settings:
             value = getattr(self, name)
             if not (value is None and name in optional) and not (value is not None and 0 < value < float("inf")):
                 raise InputError(f"{name}: expected a positive number, got {value}")
+        if self.start not in STARTS:
+            raise InputError(f"start: expected one of {', '.join(STARTS)}, got {self.start!r}")
         if not 0 <= self.min_overlap <= 1:
             raise InputError(f"min_overlap: expected a share between 0 and 1, got {self.min_overlap}")

@@ -7,11 +7,15 @@ import pytest
 from shared_data import shared_data
 
 from adagmm_bench.cli import main
+from adagmm_bench.commands import ablation
 from adagmm_bench.commands.kinect import AUTHORS
 from adagmm_bench.commands.options import starts_of
 from adagmm_bench.methods import METHODS
+from adagmm_bench.methods.ours import ABLATIONS
 from adagmm_bench.plots import plot_pair_errors, plot_sweep
+from adagmm_bench.simulation import TrialId
 from adagmm_bench.summary import best_start, by_setting, summarise
+from adagmm_o3d import TransformationEstimationForAdaptiveGMM
 
 PNG = b"\x89PNG\r\n"
 
@@ -177,3 +181,40 @@ def test_wrong_usage_is_exit_code_2(capsys):
         main(["sim2d", "--sweeps", "weather"])
     assert stop.value.code == 2
     assert "expected some of rotation,noise,outliers,occlusion, got 'weather'" in capsys.readouterr().err
+
+
+def test_recordings_go_through_the_app_and_others_get_its_clouds(tmp_path, capsys):
+    data = tmp_path / "data"
+    (data / "recordings" / "not_one").mkdir(parents=True)
+    (data / "recordings" / "room").symlink_to(shared_data("recordings", "redwood_open3d_5frames"))
+    arguments = ["recordings", "--methods", "adagmm", "--starts", "as-given", "--workers", "1", "--data", str(data)]
+    assert main([*arguments, "--output", str(tmp_path / "out")]) == 0
+    captured = capsys.readouterr()
+    assert "room, 4 pairs" in captured.out and "not_one: not a recording of a known format" in captured.err
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert {(s["method"], s["trials"], s["found"]) for s in report["summaries"]} == {
+        ("adagmm-fusion", 4, 4),
+        ("adagmm", 4, 4),
+    }
+
+
+def test_ablation_undoes_one_choice_at_a_time(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(
+        ablation, "trial_ids", lambda dimension, **_: [TrialId(dimension, "occlusion", 0.03, i) for i in range(2)]
+    )
+    arguments = ["ablation", "--workers", "1", "--data", str(tmp_path), "--output", str(tmp_path / "out")]
+    assert main(arguments) == 0
+    captured = capsys.readouterr()
+    assert "left out the Kinect scenes: data: expected kinect_pairs" in captured.err
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert set(report["summaries"]) == {"2D", "3D"}
+    assert {s["method"] for s in report["summaries"]["3D"]} == set(ablation.NAMES)
+    assert all(s["trials"] == 2 for group in report["summaries"].values() for s in group)
+
+
+def test_an_ablation_differs_from_the_default_in_one_option():
+    default = TransformationEstimationForAdaptiveGMM()
+    for name, variant in ABLATIONS.items():
+        ((option, value),) = variant.options.items()
+        assert getattr(default, option) != value, name
+        assert variant.init is None

@@ -91,6 +91,7 @@ class Cascade:
 
     def refine(
         self,
+        pairs: PairLoop,
         end: End,
         criteria: Criteria,
         *,
@@ -100,7 +101,6 @@ class Cascade:
     ) -> Outcome:
         """The end carried to convergence on all points."""
         dimension = self.source.dimension
-        pairs = PairLoop(self.source, self.target)
         expectation = PosteriorExpectation(
             pairs, dimension, end.sigma, unmatched=end.unmatched, mutuality=mutuality, volume=self.volume
         )

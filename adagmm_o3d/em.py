@@ -56,7 +56,7 @@ def expectation_maximisation(
     pose, iterations, sums = start, [], None
     for _ in range(criteria.max_iteration):
         # E-step: the weights of all pairs at the old pose, and their sums (Eq. 5).
-        sigma = expectation.scale.target
+        sigma = expectation.scale.source
         sums = expectation.e_step(pose)
         if not sums.weight > 0.0:
             return Outcome(pose, tuple(iterations), StopReason.NO_OVERLAP, None)

@@ -37,7 +37,7 @@ class Expectation(Protocol):
         """Choose the next scale at the new `pose`; True when the loop is done."""
 
     def matched(self, sums: PairSums) -> float:
-        """Estimated share of the source that has a partner; NaN where the weights do not tell."""
+        """Estimated share of the source that has a partner."""
 
 
 class AdaptiveExpectation:
@@ -56,7 +56,8 @@ class AdaptiveExpectation:
         return scale is None
 
     def matched(self, sums: PairSums) -> float:
-        return math.nan
+        """The paper's weights are no probabilities: the mean weight of a source point, relative to the largest."""
+        return float(sums.row_weights.mean() / sums.row_weights.max())
 
 
 class PosteriorExpectation:

@@ -32,7 +32,7 @@ class Mixture:
 
     points : (n, 3).   covariances : (n, 3, 3), positive definite (in 2D the block xx, xy, yy; zz is 1).
     weights : (n,) > 0.   dimension : 2 or 3.   isotropic : every covariance is a multiple of the identity.
-    dropped : how many input points had a non-finite covariance and are not in the mixture.
+    kept : (size of the input,) bool, False where a point had a non-finite covariance and is not in the mixture.
     """
 
     points: Array
@@ -40,7 +40,7 @@ class Mixture:
     weights: Array
     dimension: int
     isotropic: bool
-    dropped: int = 0
+    kept: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.points)
@@ -53,8 +53,13 @@ class Mixture:
             self.weights[index],
             self.dimension,
             self.isotropic,
-            self.dropped,
+            self.kept,
         )
+
+    @property
+    def dropped(self) -> int:
+        """How many input points are not in the mixture."""
+        return int(len(self.kept) - self.kept.sum())
 
     def variances(self) -> Array:
         """(n,) geometric mean of the principal variances, |Σ|^(1/D): one number for how vague a point is."""
@@ -127,7 +132,7 @@ def make_mixture(
     _check_spread(name, p)
     if dimension == 2:
         p, c = _lift(p, c)
-    return Mixture(np.ascontiguousarray(p), np.ascontiguousarray(c), w, dimension, isotropic, dropped)
+    return Mixture(np.ascontiguousarray(p), np.ascontiguousarray(c), w, dimension, isotropic, usable)
 
 
 def _check_covariances(name: str, covariances: ArrayLike | None, n: int, dimension: int) -> Array:
@@ -253,17 +258,18 @@ def normalise(source: Mixture, target: Mixture) -> tuple[Mixture, Mixture, Norma
     sides = (source, target)
     variances = [m.variances() for m in sides]
     unit = float(np.percentile(np.concatenate(variances), GOOD_PERCENTILE))
-    centres = [np.average(m.points, axis=0, weights=m.weights / v) for m, v in zip(sides, variances, strict=True)]
-    weights = [m.weights * np.minimum(1.0, VAGUE * unit / v) for m, v in zip(sides, variances, strict=True)]
+    relative = [np.clip(v / unit, *VARIANCE_RANGE) for v in variances]
+    centres = [np.average(m.points, axis=0, weights=m.weights / r) for m, r in zip(sides, relative, strict=True)]
+    weights = [m.weights * np.minimum(1.0, VAGUE / r) for m, r in zip(sides, relative, strict=True)]
     radii = [
         np.sqrt(np.average(((m.points - c) ** 2).sum(axis=1), weights=w))
         for m, c, w in zip(sides, centres, weights, strict=True)
     ]
     scale = float(max(radii))
     normalised = []
-    for m, c, v in zip(sides, centres, variances, strict=True):
-        covariances = m.covariances * (np.clip(v / unit, *VARIANCE_RANGE) / v)[:, None, None]
+    for m, c, v, r in zip(sides, centres, variances, relative, strict=True):
+        covariances = (m.covariances / unit) * (r / (v / unit))[:, None, None]
         if m.dimension == 2:
             covariances[:, 2, 2] = 1.0
-        normalised.append(Mixture((m.points - c) / scale, covariances, m.weights, m.dimension, m.isotropic, m.dropped))
+        normalised.append(Mixture((m.points - c) / scale, covariances, m.weights, m.dimension, m.isotropic, m.kept))
     return normalised[0], normalised[1], Normalisation(centres[0], centres[1], scale, unit)

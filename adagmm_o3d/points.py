@@ -13,14 +13,17 @@ from numpy.typing import ArrayLike
 from . import starts
 from .arguments import Array
 from .cascade import SMALL, Cascade
-from .em import Criteria, Outcome, expectation_maximisation
+from .conclusion import conclude, lower
+from .em import expectation_maximisation
 from .errors import DeviceError, InputError
 from .expectation import CLOSE_VOLUME, OPEN_VOLUME, AdaptiveExpectation
+from .global_search import is_ambiguous, search_globally
 from .kernels.pair_loop import PairLoop
 from .lie import project_to_rotation, split
 from .mixture import Mixture, Normalisation, make_mixture, normalise
-from .options import DEFAULT_MAX_ITERATION, DEFAULT_RELATIVE_RMSE, TransformationEstimationForAdaptiveGMM
-from .result import PointRegistrationResult, StopReason
+from .options import TransformationEstimationForAdaptiveGMM
+from .result import PointRegistrationResult
+from .settings import check_callback, check_criteria, check_estimation_method
 from .sigma_rules import Annealed, FigureTwo, NearestDistance, SigmaRule
 from .start_search import End
 from .trace import Iteration
@@ -39,8 +42,8 @@ def register_points(
     source_covariances: ArrayLike | None = None,
     target_covariances: ArrayLike | None = None,
     *,
-    init: ArrayLike | None = None,
-    estimation_method: TransformationEstimationForAdaptiveGMM | None = None,
+    init: ArrayLike | str | None = None,
+    estimation_method: Any = None,
     criteria: Any = None,
     device: str = "auto",
     callback_after_iteration: Observer | None = None,
@@ -53,10 +56,12 @@ def register_points(
     source_covariances, target_covariances : (M, D, D) and (N, D, D), symmetric positive definite; only their relative
         size matters, over both clouds. None stands for the identity at every point. A point whose covariance is not
         finite is ignored and counted; more than 1 % of them is an error.
-    init : (D+1, D+1) rigid transformation source → target to start from; None leaves the start to the method.
-    estimation_method : the options; None for the defaults.
+    init : (D+1, D+1) rigid transformation source → target. Other than the identity it is believed as long as it leads to
+        a plausible overlap: the search stays near it. The identity, or None, leaves the choice between the identity and
+        common centroids, with starts around, to the likelihood. "global" searches all rotations.
+    estimation_method : the options; None, or one of Open3D's own, for the defaults.
     criteria : Open3D's ICPConvergenceCriteria; `relative_rmse` bounds the last step (see `em.Criteria`),
-        `max_iteration` the EM iterations. None for 1e-3 and 200.
+        `max_iteration` the EM iterations on all points (the levels before have a few dozen). None for 1e-3 and 200.
     device : "auto" or "cpu".
     callback_after_iteration : called after each EM iteration with a dictionary, see `registration_adaptive_gmm`.
 
@@ -73,9 +78,9 @@ def register_points(
     C. Pu, N. Li, R. B. Fisher: Robust Rigid Point Registration based on Convolution of Adaptive Gaussian Mixture
     Models; Figure 2, Eq. 5.
     """
-    method = TransformationEstimationForAdaptiveGMM() if estimation_method is None else estimation_method
+    method, limits = check_estimation_method(estimation_method), check_criteria(criteria)
+    callback = check_callback(callback_after_iteration)
     _check_device(device)
-    limits = _criteria(criteria)
     moving = make_mixture("source", source, source_covariances)
     fixed = make_mixture("target", target, target_covariances)
     if moving.dimension != fixed.dimension:
@@ -84,15 +89,21 @@ def register_points(
         )
     dimension = moving.dimension
     moving, fixed, normalisation = normalise(moving, fixed)
-    observe = _observer(callback_after_iteration, normalisation, dimension)
-    given = None if init is None else _start_pose(init, normalisation, dimension)
+    observe = _observer(callback, normalisation, dimension)
+    if isinstance(init, str) and init != "global":
+        raise InputError(f"init: expected a pose or 'global', got {init!r}")
+    everywhere = isinstance(init, str)
+    given = None if init is None or everywhere else _start_pose(init, normalisation, dimension)
+    ambiguous = False
     if method.sigma_rule == "posterior":
-        cascade, best = _find(moving, fixed, method, given, normalisation)
+        cascade, ends = _find(moving, fixed, method, given, everywhere, normalisation)
+        best, ambiguous = ends[0], everywhere and is_ambiguous(ends)
         if observe is not None:
             for iteration in best.iterations:
                 observe(iteration)
-        start = best.start
+        start, volume, pairs = best.start, cascade.volume, PairLoop(moving, fixed)
         outcome = cascade.refine(
+            pairs,
             best,
             limits,
             mutuality=_mutuality(method, moving, fixed),
@@ -100,12 +111,14 @@ def register_points(
             observe=observe,
         )
     else:
-        start = np.eye(4) if given is None else given
-        expectation = AdaptiveExpectation(PairLoop(moving, fixed), _sigma_rule(method, dimension), start)
+        if everywhere:
+            raise InputError(f"init: 'global' needs sigma_rule 'posterior', got {method.sigma_rule!r}")
+        start, volume, pairs = np.eye(4) if given is None else given, OPEN_VOLUME[dimension], PairLoop(moving, fixed)
+        expectation = AdaptiveExpectation(pairs, _sigma_rule(method, dimension), start)
         outcome = expectation_maximisation(
             expectation, start, limits, dimension, relaxation=method.relaxation, observe=observe
         )
-    return _result(start, outcome, normalisation, moving, fixed)
+    return conclude(start, outcome, normalisation, moving, fixed, pairs, volume=volume, ambiguous=ambiguous)
 
 
 def _find(
@@ -113,25 +126,28 @@ def _find(
     target: Mixture,
     method: TransformationEstimationForAdaptiveGMM,
     given: Array | None,
+    everywhere: bool,
     normalisation: Normalisation,
-) -> tuple[Cascade, End]:
-    """The end to refine, on the deciding level, and the cascade that found it."""
+) -> tuple[Cascade, list[End]]:
+    """The ends on the deciding level, the one to refine first, and the cascade that found them."""
     dimension = source.dimension
     centroids, identity = np.eye(4), normalisation.pose_in(np.eye(4))
+    cascade = Cascade(source, target, OPEN_VOLUME[dimension])
+    if everywhere:
+        return cascade, search_globally(source, target, volume=cascade.volume)
     if given is not None and not np.allclose(given, identity):
         near = Cascade(source, target, CLOSE_VOLUME[dimension])
         best = max(near.run_deciding(starts.near(given)), key=lambda end: end.log_likelihood)
         if best.iterations[-1].matched >= PLAUSIBLE:
-            return near, best
+            return near, [best]
         bases = [given]
     else:
         bases = {"auto": [centroids, identity], "centroids": [centroids], "init": [identity]}[method.start]
-    cascade = Cascade(source, target, OPEN_VOLUME[dimension])
     trusted = cascade.register_trusted([starts.wide(base) for base in bases])
     if not method.search or cascade.is_tight(trusted[1]):
-        return cascade, trusted[1]
+        return cascade, [trusted[1]]
     others = [*starts.around(bases[0], dimension), *(starts.narrow(base) for base in bases[1:])]
-    return cascade, cascade.search(others, trusted)[0]
+    return cascade, cascade.search(others, trusted)
 
 
 def _mutuality(method: TransformationEstimationForAdaptiveGMM, source: Mixture, target: Mixture) -> float:
@@ -143,16 +159,6 @@ def _mutuality(method: TransformationEstimationForAdaptiveGMM, source: Mixture, 
 def _check_device(device: str) -> None:
     if device not in ("auto", "cpu"):
         raise DeviceError(f"device: expected 'auto' or 'cpu', got {device!r}")
-
-
-def _criteria(criteria: Any) -> Criteria:
-    if criteria is None:
-        return Criteria(DEFAULT_RELATIVE_RMSE, DEFAULT_MAX_ITERATION)
-    if criteria.max_iteration < 1:
-        raise InputError(f"criteria.max_iteration: expected at least 1, got {criteria.max_iteration}")
-    if not criteria.relative_rmse >= 0:
-        raise InputError(f"criteria.relative_rmse: expected a number >= 0, got {criteria.relative_rmse}")
-    return Criteria(float(criteria.relative_rmse), int(criteria.max_iteration))
 
 
 def _start_pose(init: ArrayLike, normalisation: Normalisation, dimension: int) -> Array:
@@ -186,7 +192,7 @@ def _observer(
                 "scale_iteration_index": indices[iteration.level],
                 "inlier_rmse": math.sqrt(iteration.energy * iteration.sigma) * normalisation.scale,
                 "fitness": iteration.matched,
-                "transformation": _lower(normalisation.pose_out(iteration.pose), dimension),
+                "transformation": lower(normalisation.pose_out(iteration.pose), dimension),
                 "sigma": normalisation.sigma_out(iteration.sigma),
                 "energy": iteration.energy,
             }
@@ -194,36 +200,3 @@ def _observer(
         indices[iteration.level] += 1
 
     return observe
-
-
-def _result(
-    start: Array, outcome: Outcome, normalisation: Normalisation, moving: Mixture, fixed: Mixture
-) -> PointRegistrationResult:
-    dimension = moving.dimension
-    poses = np.array([start, *(i.pose for i in outcome.iterations)])
-    poses = _lower(normalisation.pose_out(poses), dimension)
-    warnings = [] if outcome.stop_reason is StopReason.CONVERGED else [str(outcome.stop_reason)]
-    return PointRegistrationResult(
-        transformation=poses[-1],
-        stop_reason=outcome.stop_reason,
-        iterations=len(outcome.iterations),
-        sigmas=np.array([normalisation.sigma_out(i.sigma) for i in outcome.iterations]),
-        energies=np.array([i.energy for i in outcome.iterations]),
-        transformations=poses,
-        overlap=outcome.iterations[-1].matched if outcome.iterations else 0.0,
-        row_weights=np.zeros(len(moving)) if outcome.sums is None else outcome.sums.row_weights,
-        dropped_source=moving.dropped,
-        dropped_target=fixed.dropped,
-        pose_covariance=None,
-        unobservable=(),
-        ambiguous=False,
-        warnings=tuple(warnings),
-    )
-
-
-def _lower(poses: Array, dimension: int) -> Array:
-    """(…, 4, 4) poses → (…, D+1, D+1)."""
-    if dimension == 3:
-        return poses
-    keep = np.array([0, 1, 3])
-    return np.ascontiguousarray(poses[..., keep[:, None], keep])

@@ -11,15 +11,13 @@ from numpy.typing import ArrayLike
 
 from .arguments import Array, real_number
 from .errors import InputError, InputTypeError
-from .options import TransformationEstimationForAdaptiveGMM
 from .points import register_points
 from .result import PointRegistrationResult
+from .settings import check_callback, check_criteria, check_estimation_method
 from .tensor_registration import check_voxel_size, register_tensor_clouds
 from .uncertainty import estimate_surface_covariances
 
 LegacyResult = o3d.pipelines.registration.RegistrationResult
-LegacyCriteria = o3d.pipelines.registration.ICPConvergenceCriteria
-TensorCriteria = o3d.t.pipelines.registration.ICPConvergenceCriteria
 
 
 class RegistrationResult(LegacyResult):
@@ -82,13 +80,11 @@ def registration_adaptive_gmm(
     if init is not None and init_source_to_target is not None:
         raise InputError("init: given twice, as init and as init_source_to_target; give one")
     start = init if init is not None else init_source_to_target
-    method = _estimation_method(estimation_method)
-    criteria = _criteria(criteria)
+    method = check_estimation_method(estimation_method)
+    check_criteria(criteria)
+    check_callback(callback_after_iteration)
     distance = real_number("max_correspondence_distance", max_correspondence_distance, above=0.0)
     voxel_size = real_number("voxel_size", voxel_size)
-    if callback_after_iteration is not None and not callable(callback_after_iteration):
-        got = type(callback_after_iteration).__name__
-        raise InputTypeError(f"callback_after_iteration: expected a function of one dictionary, got {got}")
     if isinstance(source, o3d.t.geometry.PointCloud) and isinstance(target, o3d.t.geometry.PointCloud):
         return register_tensor_clouds(
             source, target, distance, start, method, criteria, voxel_size, device, callback_after_iteration
@@ -152,32 +148,3 @@ def legacy_covariances(name: str, cloud: o3d.geometry.PointCloud) -> Array | Non
             f"{name}.covariances: expected one for each of the {len(cloud.points)} points, got {len(covariances)}"
         )
     return covariances
-
-
-def _estimation_method(method: Any) -> TransformationEstimationForAdaptiveGMM:
-    if method is None:
-        return TransformationEstimationForAdaptiveGMM()
-    if isinstance(method, TransformationEstimationForAdaptiveGMM):
-        return method
-    theirs = (
-        o3d.pipelines.registration.TransformationEstimation,
-        o3d.t.pipelines.registration.TransformationEstimation,
-    )
-    if not isinstance(method, theirs):
-        raise InputTypeError(
-            "estimation_method: expected TransformationEstimationForAdaptiveGMM or one of Open3D's, "
-            f"got {type(method).__name__}"
-        )
-    if getattr(method, "with_scaling", False):
-        raise InputError(
-            "estimation_method: with_scaling is on, but a rigid registration estimates no scale; turn it off"
-        )
-    return TransformationEstimationForAdaptiveGMM()
-
-
-def _criteria(criteria: Any) -> LegacyCriteria | TensorCriteria | None:
-    if criteria is None:
-        return None
-    if not isinstance(criteria, (LegacyCriteria, TensorCriteria)):
-        raise InputTypeError(f"criteria: expected Open3D's ICPConvergenceCriteria, got {type(criteria).__name__}")
-    return criteria

@@ -57,7 +57,7 @@ class PosteriorSums(PairSums):
     target_overlap: float
 
 
-class _Side:
+class Side:
     """One mixture as the kernels want it: neighbours together, float32, one row per component."""
 
     def __init__(self, mixture: Mixture, isotropic: bool) -> None:
@@ -96,7 +96,7 @@ class PairLoop:
     def __init__(self, source: Mixture, target: Mixture) -> None:
         self._isotropic = source.isotropic and target.isotropic
         self._planar = source.dimension == 2
-        self._source, self._target = _Side(source, self._isotropic), _Side(target, self._isotropic)
+        self._source, self._target = Side(source, self._isotropic), Side(target, self._isotropic)
         self._tiles = make_tiles(self._target.points, self._target.variances, self._target.bits)
         self._chunks = -(-len(source) // CHUNK)
         self._bands = min(BANDS, -(-len(source) // CLUSTER))
@@ -126,9 +126,9 @@ class PairLoop:
             partials,
             row_weights,
         )
-        total = _total(partials)
+        total = total_of(partials)
         return PairSums(
-            _symmetric(total[HESSIAN:GRADIENT]),
+            symmetric(total[HESSIAN:GRADIENT]),
             total[GRADIENT:TOTAL_WEIGHT],
             total[TOTAL_WEIGHT],
             total[TOTAL_ENERGY],
@@ -172,13 +172,13 @@ class PairLoop:
             partials,
             densities,
         )
-        total = _total(partials)
+        total = total_of(partials)
         columns = np.add.reduce(self._columns, axis=0, dtype=np.float64) / (unit * target.weights)
         densities /= unit
         posterior = densities / (densities + uniform)
         log_likelihood = total[TOTAL_LIKELIHOOD] + float(target.weights @ np.log1p(columns / uniform))
         sums = PosteriorSums(
-            _symmetric(total[HESSIAN:GRADIENT]),
+            symmetric(total[HESSIAN:GRADIENT]),
             total[GRADIENT:TOTAL_WEIGHT],
             total[TOTAL_WEIGHT],
             total[TOTAL_ENERGY],
@@ -213,7 +213,7 @@ class PairLoop:
             numba.set_num_threads(threads)
 
 
-def _total(partials: Array) -> Array:
+def total_of(partials: Array) -> Array:
     """The partial sums, added in order and out of powers of two."""
     total = np.add.reduce(partials, axis=0)
     total[:TOTAL_WEIGHT] /= LOG2_SCALE
@@ -221,7 +221,7 @@ def _total(partials: Array) -> Array:
     return total
 
 
-def _symmetric(upper: Array) -> Array:
+def symmetric(upper: Array) -> Array:
     matrix = np.empty((6, 6))
     matrix[UPPER] = upper
     matrix.T[UPPER] = upper

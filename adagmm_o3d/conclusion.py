@@ -1,0 +1,86 @@
+"""From the end of the EM loop to the result: back to input units, and what speaks against the pose."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .arguments import Array
+from .em import Outcome
+from .expectation import uniform_density
+from .kernels.pair_loop import PairLoop
+from .mixture import Mixture, Normalisation
+from .result import PointRegistrationResult, StopReason
+
+# The share of points without a partner that is taken for granted when a point is asked whether it has one.
+JUDGED_UNMATCHED = 0.1
+# With a smaller share of partners than this, anything might fit.
+LEAST_OVERLAP = 0.1
+# Residuals of this variance (a standard deviation of a tenth of the radius) are heavy noise or a wrong pose.
+LARGEST_SIGMA = 0.01
+
+
+def conclude(
+    start: Array,
+    outcome: Outcome,
+    normalisation: Normalisation,
+    source: Mixture,
+    target: Mixture,
+    pairs: PairLoop,
+    *,
+    volume: float,
+    ambiguous: bool,
+) -> PointRegistrationResult:
+    """The result of normalised mixtures in input units.
+
+    What the final pose says of every point comes from one more pass over all `pairs`, with points that have no partner
+    spread over `volume`.
+    """
+    dimension = source.dimension
+    poses = np.array([start, *(i.pose for i in outcome.iterations)])
+    poses = lower(normalisation.pose_out(poses), dimension)
+    row_weights, overlap = np.zeros(len(source.kept)), 0.0
+    pose_covariance, unobservable = None, ()
+    if outcome.sums is not None:
+        uniform = uniform_density(JUDGED_UNMATCHED, dimension, volume)
+        posterior, _ = pairs.posterior_sums(outcome.pose, outcome.iterations[-1].sigma, uniform)
+        row_weights[source.kept], overlap = posterior.row_weights, posterior.overlap
+    return PointRegistrationResult(
+        transformation=poses[-1].copy(),
+        stop_reason=outcome.stop_reason,
+        iterations=len(outcome.iterations),
+        sigmas=np.array([normalisation.sigma_out(i.sigma) for i in outcome.iterations]),
+        energies=np.array([i.energy for i in outcome.iterations]),
+        transformations=poses,
+        overlap=float(overlap),
+        row_weights=row_weights,
+        dropped_source=source.dropped,
+        dropped_target=target.dropped,
+        pose_covariance=pose_covariance,
+        unobservable=unobservable,
+        ambiguous=ambiguous,
+        warnings=_warnings(outcome, overlap, ambiguous, len(unobservable)),
+    )
+
+
+def _warnings(outcome: Outcome, overlap: float, ambiguous: bool, free: int) -> tuple[str, ...]:
+    warnings = []
+    if outcome.stop_reason is not StopReason.CONVERGED:
+        warnings.append(f"not converged: {outcome.stop_reason}")
+    if overlap < LEAST_OVERLAP:
+        warnings.append(f"the estimated overlap is only {overlap:.0%}")
+    if outcome.iterations and outcome.iterations[-1].sigma > LARGEST_SIGMA:
+        deviation = np.sqrt(outcome.iterations[-1].sigma)
+        warnings.append(f"residuals of {deviation:.0%} of the clouds' radius remain: heavy noise or a wrong pose")
+    if free:
+        warnings.append(f"the points leave {free} direction{'s' if free > 1 else ''} of the pose free")
+    if ambiguous:
+        warnings.append("another pose explains the clouds as well: a symmetric shape")
+    return tuple(warnings)
+
+
+def lower(poses: Array, dimension: int) -> Array:
+    """(…, 4, 4) poses → (…, D+1, D+1)."""
+    if dimension == 3:
+        return poses
+    keep = np.array([0, 1, 3])
+    return np.ascontiguousarray(poses[..., keep[:, None], keep])

@@ -1,7 +1,7 @@
 """From a start to a pose: coarse to fine from the trusted starts; where that leaves doubt, a search; then all points.
 
-The posterior of a wrong pose can be as self-consistent as that of the right one, so EM alone cannot tell them apart. The
-likelihood of both clouds can, and on merged mixtures it is cheap to ask for many starts.
+The posterior of a wrong pose can be as self-consistent as that of the right one, so EM alone cannot tell them apart.
+The likelihood of both clouds can, and on merged mixtures it is cheap to ask for many starts.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from .mixture import Mixture
 from .start_search import End, Limits, Start, distinct, pose_distance, run_starts
 from .trace import Iteration
 
-# Components of the coarsest level, points of the one that ranks the search, and of the one that decides. Clouds of up to
-# SMALL points decide with all of them; a search among small clouds does better on a part (heavy noise above all).
+# Components of the coarsest level, points of the one that ranks the search, and of the one that decides. Clouds of up
+# to SMALL points decide with all of them; a search among small clouds does better on a part (heavy noise above all).
 MERGED, RANKING, DECIDING, SMALL, SMALL_DECIDING = 200, 400, 1000, 1100, 500
 # How far EM goes on each: what so many components can tell.
 MERGED_LIMITS = Limits(floor=2e-3, least_unmatched=0.05, step=1e-3)
@@ -60,7 +60,7 @@ class Cascade:
         return merged, self._decide([merged], SMALL if self.small else DECIDING)[0]
 
     def is_tight(self, end: End) -> bool:
-        """Whether the residuals of an end are so small beside the spacing of the points that it must be the right one."""
+        """Whether the residuals of an end are so small beside the spacing of the points that it must be right."""
         variance = sum(float(np.median(m.variances())) for m in (self.source, self.target))
         return math.sqrt(end.sigma * variance) <= TIGHT * _spacing(self.target)
 

@@ -80,6 +80,8 @@ def registration_adaptive_gmm(
     if init is not None and init_source_to_target is not None:
         raise InputError("init: given twice, as init and as init_source_to_target; give one")
     start = init if init is not None else init_source_to_target
+    if isinstance(start, o3d.core.Tensor):
+        start = start.cpu().numpy()
     method = check_estimation_method(estimation_method)
     check_criteria(criteria)
     check_callback(callback_after_iteration)

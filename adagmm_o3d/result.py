@@ -24,8 +24,8 @@ class PointRegistrationResult:
     transformation : (D+1, D+1), source → target, input units.
     stop_reason, converged : why the loop ended; converged only when the pose had stopped moving at the final σ.
     iterations : EM iterations K on the way from the start that won, on all levels.
-    sigmas : (K,) the scale of the mixtures in each iteration: σ·Σ is a covariance in input units², Σ as given. (The rule
-        "figure2" scales only the source's.)
+    sigmas : (K,) the scale of the mixtures in each iteration: σ·Σ is a covariance in input units², Σ as given. The
+        rule "figure2" scales the source's alone.
     energies : (K,) the paper's Eq. 5 in each iteration, in squared Mahalanobis distances, per unit of pair weight.
     transformations : (K+1, D+1, D+1) the pose before the first iteration and after each. The first is that of the start
         that won the search, which need not be `init`.

@@ -48,7 +48,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class End:
-    """Where a start has led: the pose, its σ and unmatched share, how well it explains both clouds, and the way there."""
+    """Where a start has led: the pose, its σ and unmatched share, how well it explains both clouds, the way there."""
 
     pose: Array
     sigma: float

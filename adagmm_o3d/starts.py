@@ -1,4 +1,4 @@
-"""Where the search begins: one wide start, and narrow ones around it that find what the wide one's centroid pull loses."""
+"""Where the search begins: one wide start, and narrow ones around it for what the wide one's pull to centroids loses."""
 
 from __future__ import annotations
 

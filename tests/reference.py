@@ -131,8 +131,8 @@ class PosteriorSums:
 def posterior_sums(y, S, x, T, uniform, column_densities, mutuality, source_weights=None, target_weights=None):
     """The E-step on N(d; 0, S_m + T_n), S (M, D, D) and T (N, D, D) being covariances, already turned and scaled.
 
-    A pair's weight w is the weighted geometric mean of its share of the density at y_m and of the one at x_n, the latter
-    to the power of `mutuality`. `uniform` is the density of points without a partner.
+    A pair's weight w is the weighted geometric mean of its share of the density at y_m and of the one at x_n, the
+    latter to the power of `mutuality`. `uniform` is the density of points without a partner.
     """
     u = np.full(len(y), 1.0 / len(y)) if source_weights is None else source_weights / np.sum(source_weights)
     v = np.full(len(x), 1.0 / len(x)) if target_weights is None else target_weights / np.sum(target_weights)

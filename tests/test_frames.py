@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from adagmm_fusion.frames import (
     PinholeIntrinsics,
     RGBDFrame,
@@ -9,7 +10,6 @@ from adagmm_fusion.frames import (
     checked_rigid_transformation,
     inverse_rigid,
 )
-
 from adagmm_o3d.errors import AdaGMMError, InputError, InputTypeError
 
 INTRINSICS = PinholeIntrinsics(8, 6, 10.0, 11.0, 3.5, 2.5)

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+
 from adagmm_fusion.errors import OutputError, RigError
 from adagmm_fusion.frames import PinholeIntrinsics
 from adagmm_fusion.rig import Rig, SensorCalibration, load_rig, save_rig
-from scipy.spatial.transform import Rotation
 
 GOOD = """\
 format: adagmm-rig

@@ -150,7 +150,8 @@ def _build(stamp):
                         else:
                             row_sums_anisotropic(
                                 x[0, i:j], x[1, i:j], x[2, i:j],
-                                a[0, i:j], a[1, i:j], a[2, i:j], a[3, i:j], a[4, i:j], a[5, i:j], target_amplitudes[i:j],
+                                a[0, i:j], a[1, i:j], a[2, i:j], a[3, i:j], a[4, i:j], a[5, i:j],
+                                target_amplitudes[i:j],
                                 y[0, k], y[1, k], y[2, k], b[0], b[1], b[2], b[3], b[4], b[5], rows[k],
                             )  # fmt: skip
                 for m in range(m0, m1):

@@ -45,9 +45,9 @@ def reach_sq(convolved, variance, bits, other_variance, other_bits):
 
 @njit(**FLAGS)
 def next_run(tile, box, sigma, tiles, convolved, n):
-    """The next run of target points within reach of a source cluster, from `tile` on: (first, past the last, next tile).
+    """The next run of target points within reach of a source cluster, from `tile` on: (first, past last, next tile).
 
-    `box` is the cluster's (corners, variance, bits), see `cluster_box`; `sigma` scales the target's variances. Groups of
+    `box` is the cluster's (corners, variance, bits); `sigma` scales the target's variances. Groups of
     GROUP tiles are skipped whole. A run ends at the first tile out of reach or after RUN points.
     """
     lo, hi, variance, bits = box

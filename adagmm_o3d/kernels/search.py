@@ -148,11 +148,11 @@ def _build(stamp):
 
     @njit(**KERNEL_FLAGS)
     def search(poses, starts, source, target, kind, world, judged, bounds, step, ends, history):
-        """Run every start; `poses` (S, 12) move, `ends` tell σ, the unmatched share and the likelihood at a common scale.
+        """Run every start; `poses` (S, 12) move, `ends` (S, END_COLUMNS) tell where they came to.
 
-        world : density of a uniform mixture of all points.   judged : unmatched share at which ends are compared, each at its own σ.
-        bounds : (floor of σ, least, greatest unmatched share).   step : a start is done when ‖δ‖ is below and σ has settled.
-        history : (S, most iterations, HISTORY_COLUMNS).
+        world : density of a uniform mixture of all points.   judged : unmatched share at which the likelihoods of the
+        ends are taken, each at its own σ.   bounds : (floor of σ, least, greatest unmatched share).   step : a start is
+        done when ‖δ‖ is below and σ has settled.   history : (S, most iterations, HISTORY_COLUMNS).
         """
         _ = stamp
         floor, least, greatest = bounds

@@ -26,7 +26,7 @@ class Tiles(NamedTuple):
 
 
 def make_tiles(points: Float32, variances: Float32, bits: Float32) -> Tiles:
-    """The tiles of (3, n) ordered points, the largest principal variance and the bits of each; see `culling.reach_sq`."""
+    """The tiles of (3, n) ordered points, largest principal variance and bits of each; see `culling.reach_sq`."""
     lo, hi = _reduce(np.minimum, points, TILE), _reduce(np.maximum, points, TILE)
     reach = _reduce(np.maximum, np.stack([variances, bits]), TILE)
     group_reach = _reduce(np.maximum, reach, GROUP)

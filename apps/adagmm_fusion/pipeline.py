@@ -49,7 +49,7 @@ class PairOutcome:
     status : "ok" or "failed"; `reason` says why it failed.
     judged_by : "ground truth"; "estimate" where that is not known; "error" if the pair could not be registered at all:
         then whatever was not reached is None.
-    features : the pose the colour images agreed on, where the registration started; None where it was left to the clouds.
+    features : the pose the colour images agreed on, where the registration started; None where the clouds had to do.
     seconds_clouds, seconds_features, seconds_registration : wall time of each step.
     """
 

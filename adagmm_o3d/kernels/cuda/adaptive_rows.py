@@ -1,4 +1,4 @@
-"""The paper's E-step on the GPU: for every source point the sums over the target points, as in `kernels.adaptive_sums`."""
+"""The paper's E-step on the GPU: the sums of every source point over the target, as in `kernels.adaptive_sums`."""
 
 import math
 

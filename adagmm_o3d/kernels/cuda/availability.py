@@ -1,4 +1,4 @@
-"""Whether this process can run the CUDA kernels, and if not, why; asking imports Numba's CUDA only where it is installed."""
+"""Whether the CUDA kernels can run here, and if not, why; asking imports `numba.cuda` only where it is usable."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def obstacle() -> str | None:
 def missing_front_end() -> str | None:
     """Why there is no usable `numba.cuda`; None where there is one, with or without a GPU.
 
-    The one inside Numba is deprecated and broken, only its simulator works. NVIDIA's numba-cuda takes its place by a .pth
-    file, which `pip install --target` leaves unread.
+    The one inside Numba is deprecated and broken, only its simulator works. NVIDIA's numba-cuda takes its place by a
+    .pth file, which `pip install --target` leaves unread.
     """
     if simulated():
         return None
@@ -40,9 +40,7 @@ def missing_front_end() -> str | None:
     from numba import cuda
 
     if getattr(cuda, "implementation", None) != "NVIDIA":
-        return (
-            "numba-cuda is installed, but its .pth file was not read and numba.cuda is not NVIDIA's; use a plain venv"
-        )
+        return "numba-cuda is installed, but its .pth file was not read, so numba.cuda is not NVIDIA's; use a venv"
     return None
 
 

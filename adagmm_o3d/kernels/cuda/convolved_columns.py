@@ -1,7 +1,7 @@
-"""The density of the source mixture at every target point: the same pairs as `convolved_rows`, seen from the other side.
+"""The density of the source mixture at every target point: the pairs of `convolved_rows` seen from the other side.
 
-On the CPU one pass leaves both. Here the columns of a block of pairs would have to be added up across blocks, in a fixed
-order and without atomics; a second, lighter pass is simpler and needs no memory.
+On the CPU one pass leaves both. Here the columns of a block of pairs would have to be added up across blocks, in a
+fixed order and without atomics; a second, lighter pass is simpler and needs no memory.
 """
 
 import math

@@ -89,7 +89,7 @@ def added(total, s):
 
 @fast
 def column_factor(density, uniform, mutuality):
-    """(uniform / (density + uniform))**mutuality: what a target point's own posterior does to the weights of its pairs."""
+    """(uniform / (density + uniform))**mutuality: what a target point's posterior does to the weights of its pairs."""
     return math.exp2(mutuality * math.log2(uniform / (density + uniform)))
 
 

@@ -49,7 +49,7 @@ def kernel(function):
 
 
 def fast_kernel(function):
-    """The same for one that calls `fast` functions: subnormal numbers and roundings are settled for a kernel as a whole."""
+    """The same for one that calls `fast` functions: how float32 rounds is settled for a kernel as a whole."""
     return cuda.jit(function) if simulated() else cuda.jit(cache=True, fastmath=True)(function)
 
 

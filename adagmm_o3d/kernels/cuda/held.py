@@ -7,12 +7,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from ...arguments import Array
 from .front_end import cuda
 
 
-class Held:
+class Held(NDArrayOperatorsMixin):
     """(n,) float64 on the device in the kernels' order; NumPy sees it on the host in the mixture's order.
 
     The buffers under it are used in turn. One that is needed again while its vector is still alive is read first, so a
@@ -39,6 +40,10 @@ class Held:
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
         values = self.read()
         return values.copy() if dtype is None else values.astype(dtype)
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **settings: Any) -> Any:
+        """Arithmetic is done on the host."""
+        return getattr(ufunc, method)(*(v.read() if isinstance(v, Held) else v for v in inputs), **settings)
 
 
 class Turn:

@@ -1,7 +1,7 @@
 """Two mixtures on the GPU, and one pass over all their pairs: the twin of `kernels.pair_loop.PairLoop`.
 
-Points and matrices are uploaded once. A pass sends a pose and a few numbers, and gets TOTAL_SUMS or a few more back; what
-there is for every point stays on the device until it is read.
+Points and matrices are uploaded once. A pass sends a pose and a few numbers, and gets TOTAL_SUMS or a few more back;
+what there is for every point stays on the device until it is read.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ...arguments import Array
 from ...mixture import Mixture
 from ..compiling import LOG2_SCALE
 from ..layout import GRADIENT, HESSIAN, TOTAL_ENERGY, TOTAL_LIKELIHOOD, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
-from ..pair_loop import PairSums, PosteriorSums, _Side, _symmetric, _total
+from ..pair_loop import PairSums, PosteriorSums, Side, symmetric, total_of
 from . import adaptive_rows, convolved_columns, convolved_rows, moving, nearest, reductions
 from .front_end import TILE, cuda
 from .held import Held, Turn, upload
@@ -84,9 +84,9 @@ class CudaPosteriorSums(PosteriorSums):
 
 def _of_total(total: Array) -> dict[str, Any]:
     """The fields of `PairSums` that are in layout.TOTAL_SUMS."""
-    total = _total(total[None])
+    total = total_of(total[None])
     return {
-        "hessian": _symmetric(total[HESSIAN:GRADIENT]),
+        "hessian": symmetric(total[HESSIAN:GRADIENT]),
         "gradient": total[GRADIENT:TOTAL_WEIGHT],
         "weight": float(total[TOTAL_WEIGHT]),
         "energy": float(total[TOTAL_ENERGY]),
@@ -100,7 +100,7 @@ class CudaPairLoop:
         isotropic = source.isotropic and target.isotropic
         self._kernels = ISOTROPIC if isotropic else ANISOTROPIC
         self._flat = source.dimension == 2
-        self._source, self._target = _Side(source, isotropic), _Side(target, isotropic)
+        self._source, self._target = Side(source, isotropic), Side(target, isotropic)
         self._source_boxes, self._target_boxes = (
             upload(boxes(side.points, side.variances, side.bits)) for side in (self._source, self._target)
         )

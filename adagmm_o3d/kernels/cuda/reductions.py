@@ -46,7 +46,7 @@ def summed(rows, i, m):
 
 @exact
 def store_normal_equations(sums, t, terms):
-    """The 27 `terms` of point t into layout.HESSIAN to TOTAL_WEIGHT; one by one, as a tuple has no index at run time."""
+    """The 27 `terms` of point t into layout.HESSIAN to TOTAL_WEIGHT; a tuple has no index at run time."""
     sums[HESSIAN, t] = terms[0]
     sums[HESSIAN + 1, t] = terms[1]
     sums[HESSIAN + 2, t] = terms[2]
@@ -213,7 +213,7 @@ def _build_columns(stamp):
 def _build_nearest(stamp):
     @kernel
     def reduce_nearest(parts, nearest):
-        """One thread for each source point: the smallest of its shares (see `nearest_sq`) into `nearest` (tiles x TILE,)."""
+        """One thread for each source point: the smallest of its shares (`nearest_sq`) into `nearest` (tiles x TILE)."""
         _ = stamp
         m = cuda.blockIdx.x * TILE + cuda.threadIdx.x
         best = parts[0, m]

@@ -1,8 +1,8 @@
 """Points and boxes as the device keeps them, and which tile a block has to look at; see `kernels.culling`.
 
-A tile is TILE points, component by component: (components, TILE) float32. Components are x, y, z, the share that a pair's
-weight is multiplied with, and the matrix, packed (6) or its one diagonal entry (1). The last tile is filled up with
-copies of the last point whose share is 0. A box is (low corner, high corner, variance, bits).
+A tile is TILE points, component by component: (components, TILE) float32. Components are x, y, z, the share that a
+pair's weight is multiplied with, and the matrix, packed (6) or its one diagonal entry (1). The last tile is filled up
+with copies of the last point whose share is 0. A box is (low corner, high corner, variance, bits).
 """
 
 from __future__ import annotations

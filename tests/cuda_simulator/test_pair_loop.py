@@ -1,0 +1,193 @@
+"""The CUDA kernels in Numba's simulator: against the naive reference and the CPU, at the edges of every block."""
+
+import numpy as np
+import pytest
+import reference
+from cases import FREE, Case, spoil
+
+from adagmm_o3d.em import Criteria, expectation_maximisation
+from adagmm_o3d.expectation import AdaptiveExpectation, PosteriorExpectation
+from adagmm_o3d.kernels.cuda import adaptive_rows, pair_loop
+from adagmm_o3d.kernels.cuda.front_end import TILE
+from adagmm_o3d.sigma_rules import NearestDistance
+
+SHAPES = [("2D", 2, True), ("2D anisotropic", 2, False), ("3D", 3, True), ("3D anisotropic", 3, False)]
+shapes = pytest.mark.parametrize(("dimension", "isotropic"), [s[1:] for s in SHAPES], ids=[s[0] for s in SHAPES])
+# Below, at and above a tile; more tiles than are summed in float32 at a time; more tiles than a block tests at a time.
+SIZES = [(3, TILE - 1), (TILE, TILE), (TILE + 1, 2 * TILE + 1), (2 * TILE - 1, (adaptive_rows.FLUSH + 1) * TILE + 3)]
+SIZES += [(3, TILE * TILE + 1)]
+sizes = pytest.mark.parametrize(("m", "n"), SIZES)
+
+
+@pytest.fixture(autouse=True)
+def few_blocks(monkeypatch):
+    """One block does all it can by itself, unless a test wants shares."""
+    monkeypatch.setattr(pair_loop, "WANTED_BLOCKS", 1)
+
+
+@shapes
+@sizes
+def test_sums_match_the_naive_reference(dimension, isotropic, m, n):
+    case = Case(7 * m + n, m, n, dimension, isotropic)
+    sums = case.cuda_loop().sums(case.lifted, *case.sigmas)
+    C = reference.pair_weights(case.y, case.B, case.target, case.A) / case.unit()
+    args = (C, case.y, case.B, case.target, case.A)
+    free = FREE[dimension]
+    hessian = 0.5 * reference.gauss_newton_hessian(*args, turning=False)
+    gradient = 0.5 * reference.gradient(*args)
+    np.testing.assert_allclose(sums.row_weights, C.sum(axis=1), rtol=2e-6, atol=1e-7 * C.sum() / m)
+    np.testing.assert_allclose(sums.weight, C.sum(), rtol=1e-6, atol=0)
+    np.testing.assert_allclose(sums.energy, reference.energy(*args), rtol=1e-6, atol=0)
+    np.testing.assert_allclose(sums.hessian[np.ix_(free, free)], hessian, rtol=1e-5, atol=1e-6 * np.abs(hessian).max())
+    np.testing.assert_allclose(sums.gradient[free], gradient, rtol=1e-5, atol=1e-6 * np.abs(hessian).max())
+
+
+@shapes
+@pytest.mark.parametrize(("m", "n", "mutuality"), [(*size, 0.5) for size in SIZES] + [(TILE + 1, TILE - 1, 0.0)])
+def test_posterior_sums_match_the_naive_reference(dimension, isotropic, m, n, mutuality):
+    case = Case(11 * m + n, m, n, dimension, isotropic)
+    sigma, uniform = 0.2, 0.05
+    S, T = sigma * reference.turn(case.source_covariances, case.R), sigma * case.target_covariances
+    columns = np.random.default_rng(n).uniform(0.0, 0.5, n)
+    expected = reference.posterior_sums(case.y, S, case.target, T, uniform, columns, mutuality)
+    sums, column_densities = case.cuda_loop().posterior_sums(case.lifted, sigma, uniform, columns, mutuality)
+    free = FREE[dimension]
+    scale = np.abs(expected.hessian).max()
+    np.testing.assert_allclose(sums.hessian[np.ix_(free, free)], expected.hessian, rtol=1e-5, atol=1e-6 * scale)
+    np.testing.assert_allclose(sums.gradient[free], expected.gradient, rtol=1e-5, atol=1e-6 * scale)
+    np.testing.assert_allclose([sums.weight, sums.energy], [expected.weight, expected.energy], rtol=1e-6, atol=0)
+    posterior = expected.densities / (expected.densities + uniform)
+    column_posterior = expected.column_densities / (expected.column_densities + uniform)
+    np.testing.assert_allclose(sums.row_weights, posterior, rtol=2e-6, atol=1e-9)
+    np.testing.assert_allclose(np.asarray(column_densities), expected.column_densities, rtol=2e-6, atol=1e-9)
+    overlaps = [sums.overlap, sums.target_overlap]
+    np.testing.assert_allclose(overlaps, [posterior.mean(), column_posterior.mean()], rtol=1e-6, atol=0)
+    likelihood = np.log1p(expected.densities / uniform).mean() + np.log1p(expected.column_densities / uniform).mean()
+    np.testing.assert_allclose(sums.log_likelihood, likelihood, rtol=1e-6, atol=0)
+
+
+@shapes
+@sizes
+def test_nearest_distances_match_the_naive_reference(dimension, isotropic, m, n):
+    case = Case(m + n, m, n, dimension, isotropic)
+    nearest = np.sqrt(case.cuda_loop().nearest_sq(case.lifted))
+    np.testing.assert_allclose(nearest, reference.nearest_distances(case.y, case.target), rtol=1e-5, atol=1e-6)
+
+
+@shapes
+def test_the_cpu_gives_the_same_sums(dimension, isotropic):
+    case = Case(3, 2 * TILE + 1, 3 * TILE, dimension, isotropic)
+    cpu, cuda = case.cpu_loop(), case.cuda_loop()
+    assert_same(cuda.sums(case.lifted, *case.sigmas), cpu.sums(case.lifted, *case.sigmas))
+    _, cpu_columns = cpu.posterior_sums(case.lifted, 0.3, 0.05)
+    _, cuda_columns = cuda.posterior_sums(case.lifted, 0.3, 0.05)
+    np.testing.assert_allclose(np.asarray(cuda_columns), cpu_columns, rtol=2e-6, atol=1e-9)
+    expected, _ = cpu.posterior_sums(case.lifted, 0.2, 0.04, cpu_columns, 0.3)
+    sums, _ = cuda.posterior_sums(case.lifted, 0.2, 0.04, cuda_columns, 0.3)
+    assert_same(sums, expected)
+    np.testing.assert_allclose(sums.log_likelihood, expected.log_likelihood, rtol=1e-6, atol=0)
+    np.testing.assert_allclose(sums.target_overlap, expected.target_overlap, rtol=1e-6, atol=0)
+
+
+def assert_same(sums, expected):
+    scale = np.abs(expected.hessian).max()
+    np.testing.assert_allclose(sums.hessian, expected.hessian, rtol=1e-5, atol=1e-6 * scale)
+    np.testing.assert_allclose(sums.gradient, expected.gradient, rtol=1e-5, atol=1e-6 * scale)
+    np.testing.assert_allclose([sums.weight, sums.energy], [expected.weight, expected.energy], rtol=1e-6, atol=0)
+    np.testing.assert_allclose(sums.row_weights, expected.row_weights, rtol=2e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("isotropic", [True, False])
+def test_shares_of_the_other_side_add_up_to_the_same(isotropic, monkeypatch):
+    case = Case(4, TILE + 3, 3 * TILE + 1, 3, isotropic)
+
+    def passes():
+        loop = case.cuda_loop()
+        posterior, columns = loop.posterior_sums(case.lifted, 0.2, 0.05)
+        return loop.sums(case.lifted, *case.sigmas), posterior, np.asarray(columns), loop.nearest_sq(case.lifted)
+
+    alone = passes()
+    monkeypatch.setattr(pair_loop, "WANTED_BLOCKS", 1000)
+    shared = passes()
+    assert_same(shared[0], alone[0])
+    assert_same(shared[1], alone[1])
+    np.testing.assert_allclose(shared[2], alone[2], rtol=2e-6, atol=1e-9)
+    np.testing.assert_array_equal(shared[3], alone[3])
+
+
+def test_the_bits_are_the_same_every_time():
+    case = Case(5, TILE + 3, 3 * TILE + 1, 3, isotropic=False)
+
+    def bits():
+        sums = case.cuda_loop().sums(case.lifted, *case.sigmas)
+        return sums.hessian.tobytes(), sums.gradient.tobytes(), sums.energy, sums.row_weights.tobytes()
+
+    assert bits() == bits()
+
+
+@shapes
+def test_far_tiles_are_left_out(dimension, isotropic):
+    # Two heaps far apart on either side: a tile of one has nothing to do with those of the other.
+    case = Case(6, 2 * TILE, 4 * TILE, dimension, isotropic, sigmas=(1e-3, 1e-3), radius=0.02, apart=50.0)
+    loop = case.cuda_loop()
+    C = reference.pair_weights(case.y, case.B, case.target, case.A) / case.unit()
+    np.testing.assert_allclose(loop.sums(case.lifted, *case.sigmas).weight, C.sum(), rtol=1e-5, atol=0)
+    before = loop.posterior_sums(case.lifted, 1e-3, 0.05)
+    nearest = loop.nearest_sq(case.lifted)
+
+    # Spoil every tile of the heap at 50 that a source tile near 0 could touch; only its own half may notice.
+    heap = case.target[loop._target.order][:, 0] > 25.0
+    far = heap.reshape(-1, TILE).all(axis=1)
+    assert far.sum() == 2
+    for tiles in (loop._precisions[1], loop._covariances[1]):
+        host = tiles.copy_to_host()
+        host[far] = np.nan
+        tiles.copy_to_device(host)
+    near_rows = case.source[:, 0] < 25.0
+    near_columns = case.target[:, 0] < 25.0
+    weights = loop.sums(case.lifted, *case.sigmas).row_weights
+    np.testing.assert_allclose(weights[near_rows], C.sum(axis=1)[near_rows], rtol=1e-5, atol=0)
+    posterior, columns = loop.posterior_sums(case.lifted, 1e-3, 0.05)
+    np.testing.assert_array_equal(posterior.row_weights[near_rows], before[0].row_weights[near_rows])
+    np.testing.assert_array_equal(np.asarray(columns)[near_columns], np.asarray(before[1])[near_columns])
+    np.testing.assert_array_equal(loop.nearest_sq(case.lifted)[near_rows], nearest[near_rows])
+    assert np.isnan(weights[~near_rows]).all()
+
+
+def test_vectors_on_the_device_do_not_change_when_their_buffers_are_used_again():
+    case = Case(8, TILE + 1, TILE + 2, 3, isotropic=True)
+    loop = case.cuda_loop()
+    read_at_once = [np.array(v) for s in (0.1, 0.2, 0.3) for v in vectors(loop.posterior_sums(case.lifted, s, 0.05))]
+    spoil(loop)
+    held = [loop.posterior_sums(case.lifted, s, 0.05) for s in (0.1, 0.2, 0.3)]
+    for late, early in zip((v for pair in held for v in vectors(pair)), read_at_once, strict=True):
+        np.testing.assert_array_equal(late, early)
+    # Columns whose buffer was taken back in the meantime serve a pass as well as fresh ones.
+    again, _ = loop.posterior_sums(case.lifted, 0.2, 0.05, held[0][1], 0.5)
+    expected, _ = loop.posterior_sums(case.lifted, 0.2, 0.05, read_at_once[1], 0.5)
+    np.testing.assert_array_equal(again.hessian, expected.hessian)
+    np.testing.assert_array_equal(1.0 / (held[1][1] + 0.05), 1.0 / (read_at_once[3] + 0.05))
+
+
+def vectors(pair):
+    sums, columns = pair
+    return sums.row_weights, np.asarray(columns)
+
+
+def posterior(loop):
+    return PosteriorExpectation(loop, 3, 0.3, unmatched=0.3, mutuality=0.5, volume=30.0)
+
+
+def adaptive(loop):
+    return AdaptiveExpectation(loop, NearestDistance(3), np.eye(4))
+
+
+@pytest.mark.parametrize("expectation", [posterior, adaptive])
+def test_em_arrives_where_it_does_on_the_cpu(expectation):
+    case = Case(9, 3 * TILE, 3 * TILE, 3, isotropic=False)
+    outcomes = [
+        expectation_maximisation(expectation(loop), np.eye(4), Criteria(1e-6, 3), 3)
+        for loop in (case.cpu_loop(), case.cuda_loop())
+    ]
+    assert len(outcomes[1].iterations) == len(outcomes[0].iterations)
+    np.testing.assert_allclose(outcomes[1].pose, outcomes[0].pose, rtol=1e-5, atol=1e-6)

@@ -1,0 +1,78 @@
+"""Which device a registration runs on, and what is said where there is none."""
+
+import logging
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from adagmm_o3d.errors import DeviceError
+from adagmm_o3d.kernels import backend
+from adagmm_o3d.kernels.cuda import availability
+from adagmm_o3d.kernels.pair_loop import PairLoop
+from adagmm_o3d.mixture import make_mixture
+
+no_gpu = pytest.mark.skipif(availability.obstacle() is None, reason="there is a GPU")
+
+
+@pytest.fixture
+def mixture():
+    return make_mixture("source", np.random.default_rng(0).normal(size=(20, 3)), None)
+
+
+@pytest.mark.parametrize("device", ["gpu", "CUDA:0", ""])
+def test_an_unknown_device_is_named(device):
+    with pytest.raises(DeviceError, match="device: expected one of 'auto', 'cpu', 'cuda', got"):
+        backend.check_device(device)
+
+
+@no_gpu
+def test_asking_for_a_gpu_where_there_is_none_is_one_clear_line(mixture):
+    with pytest.raises(DeviceError) as caught:
+        backend.make_pair_loop(mixture, mixture, "cuda")
+    message = str(caught.value)
+    assert message.startswith("device: 'cuda' cannot be used here: ")
+    assert "\n" not in message
+    assert "numba-cuda is not installed" in message or "no CUDA GPU" in message
+
+
+def test_without_numba_cuda_the_reason_says_what_to_install(monkeypatch):
+    monkeypatch.setattr(availability.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(availability, "simulated", lambda: False)
+    assert availability.missing_front_end() == "numba-cuda is not installed; pip install 'adagmm-o3d[cuda]'"
+
+
+def test_auto_stays_on_the_cpu_for_small_clouds_without_looking_for_a_gpu(mixture, monkeypatch):
+    def looked():
+        raise AssertionError("looked for a GPU")
+
+    monkeypatch.setattr(backend, "obstacle", looked)
+    assert isinstance(backend.make_pair_loop(mixture, mixture, "auto"), PairLoop)
+    assert isinstance(backend.make_pair_loop(mixture, mixture, "cpu"), PairLoop)
+
+
+def test_auto_says_once_what_it_picked(mixture, monkeypatch, caplog):
+    monkeypatch.setattr(backend, "CROSSING_PAIRS", 1)
+    monkeypatch.setattr(backend, "obstacle", lambda: "no CUDA GPU or no driver for it was found")
+    backend._say_once.cache_clear()
+    with caplog.at_level(logging.INFO, logger="adagmm_o3d"):
+        loops = [backend.make_pair_loop(mixture, mixture, "auto") for _ in range(3)]
+    backend._say_once.cache_clear()
+    assert all(isinstance(loop, PairLoop) for loop in loops)
+    assert [record.getMessage() for record in caplog.records] == [
+        "device: 'auto' picked the CPU, as no CUDA GPU or no driver for it was found for 1 pairs and more"
+    ]
+
+
+def test_a_registration_on_the_cpu_imports_nothing_of_cuda():
+    script = (
+        "import sys, numpy as np, adagmm_o3d\n"
+        "p = np.random.default_rng(0).normal(size=(50, 3))\n"
+        "adagmm_o3d.register_points(p, p, device='cpu')\n"
+        "loaded = [m for m in sys.modules if m.split('.')[:2] == ['numba', 'cuda'] or m.startswith('numba_cuda')]\n"
+        "loaded += [m for m in sys.modules if m.startswith('adagmm_o3d.kernels.cuda.')]\n"
+        "print(sorted(set(loaded) - {'adagmm_o3d.kernels.cuda.availability'}))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 from adagmm_bench.problem import Cloud, Problem
 
 TARGET_COLOR, SOURCE_COLOR, FLAGGED_COLOR = (70, 130, 255), (255, 140, 0), (130, 130, 130)
-RADIUS_SHARE = 0.006  # of the target's RMS radius
+RADIUS_SHARE = {2: 0.018, 3: 0.009}  # of the target's RMS radius; fewer points in 2D
 STEP = "iteration"
 
 
@@ -29,6 +29,8 @@ def replay_blueprint(dimension: int) -> rrb.Blueprint:
             ),
             row_shares=[2, 1],
         ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=STEP),
         auto_views=False,
     )
@@ -42,7 +44,7 @@ def log_replay(rec: rr.RecordingStream, problem: Problem, poses: np.ndarray, err
     poses : (K, D+1, D+1) of the source in the units of the problem's clouds, the last one is the estimate.
     errors_deg : (K,) rotation errors of the poses [deg].     text : the trial's record, markdown.
     """
-    radius = RADIUS_SHARE * problem.target.rms_radius()
+    radius = RADIUS_SHARE[problem.dimension] * problem.target.rms_radius()
     _log_cloud(rec, "target", problem.target, np.eye(problem.dimension + 1), TARGET_COLOR, radius)
     _log_cloud(rec, "before", problem.source, np.eye(problem.dimension + 1), SOURCE_COLOR, radius)
     if problem.T_target_source is not None:

@@ -1,0 +1,431 @@
+"""What the registration says to bad input: the beginning of the one line, and its type."""
+
+import re
+
+import numpy as np
+import open3d as o3d
+import pytest
+from shapes import bumpy
+
+from adagmm_o3d import (
+    AdaGMMError,
+    DegenerateError,
+    DeviceError,
+    InputError,
+    InputTypeError,
+    TransformationEstimationForAdaptiveGMM,
+    register_points,
+    registration_adaptive_gmm,
+)
+
+reg, treg, core = o3d.pipelines.registration, o3d.t.pipelines.registration, o3d.core
+
+N = 60
+POINTS = {d: bumpy(np.random.default_rng(d), N, d) for d in (2, 3)}
+UNIT = np.tile(np.eye(3), (N, 1, 1))
+NAN_ROW = np.where(np.arange(N)[:, None] == 4, np.nan, POINTS[3])
+LINE = np.linspace(0.0, 1.0, N)[:, None] * np.array([1.0, 2.0, 3.0])
+SCALED = np.diag([2.0, 2.0, 2.0, 1.0])
+MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])
+
+
+def at(index, value, array=UNIT):
+    changed = array.copy()
+    changed[index] = value
+    return changed
+
+
+# What every front end says of a cloud; for `register_points` as arrays, for the others as clouds.
+POINT_CASES = [
+    (POINTS[3][:0], InputError, "points: the cloud is empty; registration needs at least 3 points"),
+    (POINTS[3][:1], DegenerateError, "points: 1 points cannot fix a pose; at least 3 are needed"),
+    (POINTS[3][:2], DegenerateError, "points: 2 points cannot fix a pose; at least 3 are needed"),
+    (np.full((N, 3), 7.1), DegenerateError, "points: all 60 points are in one place; a pose cannot be found"),
+    (np.full((N, 3), 1e6 + 0.1), DegenerateError, "points: all 60 points are in one place; a pose cannot be found"),
+    (LINE, DegenerateError, "points: all 60 points are on one line; a pose cannot be found"),
+    (
+        NAN_ROW,
+        InputError,
+        "points: 1 of 60 points are not finite, the first at index 4; "
+        "remove them first, e.g. with PointCloud.remove_non_finite_points()",
+    ),
+    (at(7, -np.inf, POINTS[3]), InputError, "points: 1 of 60 points are not finite, the first at index 7"),
+]
+COVARIANCE_CASES = [
+    (
+        np.zeros((N, 3, 3)),
+        InputError,
+        "covariances: not positive definite at index 0 (60 in all); add a small multiple",
+    ),
+    (-UNIT, InputError, "covariances: not positive definite at index 0 (60 in all)"),
+    (at(9, np.diag([1.0, 1.0, 0.0])), InputError, "covariances: not positive definite at index 9 (1 in all)"),
+    (at((9, 0, 1), 0.5), InputError, "covariances: not symmetric at index 9 (1 in all)"),
+    (
+        np.full((N, 3, 3), np.nan),
+        InputError,
+        "covariances: 60 of 60 are not finite, the first at index 0; at most 1% may be (those points are ignored)",
+    ),
+    (at(slice(5, 8), np.inf), InputError, "covariances: 3 of 60 are not finite, the first at index 5"),
+]
+ARRAY_CASES = [
+    (LINE + 1e6, DegenerateError, "points: all 60 points are on one line; a pose cannot be found"),
+    (None, InputTypeError, "points: expected an array of real numbers, got NoneType"),
+    ("cloud.ply", InputTypeError, "points: expected an array of real numbers, got str"),
+    ([[0.0, 1.0], [2.0]], InputTypeError, "points: expected an array of real numbers, got a ragged list"),
+    (POINTS[3] + 1j, InputTypeError, "points: expected an array of real numbers, got dtype complex128"),
+    (POINTS[3].astype(object), InputTypeError, "points: expected an array of real numbers, got dtype object"),
+    (POINTS[3] > 0, InputTypeError, "points: expected an array of real numbers, got dtype bool"),
+    (POINTS[3][:, 0], InputError, "points: expected shape (n, 2 or 3), got (60,)"),
+    (POINTS[3][:, :1], InputError, "points: expected shape (n, 2 or 3), got (60, 1)"),
+    (np.zeros((N, 4)), InputError, "points: expected shape (n, 2 or 3), got (60, 4)"),
+    (np.zeros((1, N, 3)), InputError, "points: expected shape (n, 2 or 3), got (1, 60, 3)"),
+    (1e150 * POINTS[3], InputError, "points: expected coordinates up to 1e+140, got 1."),
+    (1e-150 * POINTS[3], InputError, "points: expected an extent of 1e-140 or more, got 1."),
+]
+ARRAY_COVARIANCE_CASES = [
+    ("kinect", InputTypeError, "covariances: expected an array of real numbers, got str"),
+    (np.eye(3), InputError, "covariances: expected shape (60, 3, 3), got (3, 3)"),
+    (UNIT[:-1], InputError, "covariances: expected shape (60, 3, 3), got (59, 3, 3)"),
+    (UNIT[:, :2, :2], InputError, "covariances: expected shape (60, 3, 3), got (60, 2, 2)"),
+    (np.ones(N), InputError, "covariances: expected shape (60, 3, 3), got (60,)"),
+]
+INIT_CASES = [
+    ("far", InputError, "init: expected a pose or 'global', got 'far'"),
+    (object(), InputTypeError, "init: expected an array of real numbers, got object"),
+    (np.eye(3), InputError, "init: expected shape (4, 4), got (3, 3)"),
+    (np.eye(4)[:3], InputError, "init: expected a square matrix, got shape (3, 4)"),
+    (np.eye(5), InputError, "init: expected shape (3 or 4, 3 or 4), got (5, 5)"),
+    (np.eye(4).ravel(), InputError, "init: expected shape (3 or 4, 3 or 4), got (16,)"),
+    (np.full((4, 4), np.nan), InputError, "init: expected finite numbers, got nan at index (0, 0)"),
+    (np.full((4, 4), np.inf), InputError, "init: expected finite numbers, got inf at index (0, 0)"),
+    (np.zeros((4, 4)), InputError, "init: expected a homogeneous matrix with last row (0, 0, 0, 1), got (0, 0, 0, 0)"),
+    (
+        np.eye(4) + np.eye(4)[::-1],
+        InputError,
+        "init: expected a homogeneous matrix with last row (0, 0, 0, 1)",
+    ),
+    (SCALED, InputError, "init: expected a rotation, got determinant 8 and RᵀR − I up to 3; see project_to_rotation()"),
+    (MIRROR, InputError, "init: expected a rotation, got determinant -1 and RᵀR − I up to 0"),
+]
+DEVICE_CASES = [
+    ("tpu", DeviceError, "device: expected "),
+    ("", DeviceError, "device: expected "),
+    (None, DeviceError, "device: expected "),
+    (3, DeviceError, "device: expected "),
+]
+SETTING_CASES = [
+    ("criteria", 30, InputTypeError, "criteria: expected Open3D's ICPConvergenceCriteria, got int"),
+    ("criteria", {"max_iteration": 30}, InputTypeError, "criteria: expected Open3D's ICPConvergenceCriteria, got dict"),
+    (
+        "criteria",
+        reg.ICPConvergenceCriteria(max_iteration=0),
+        InputError,
+        "criteria.max_iteration: expected at least 1, got 0",
+    ),
+    (
+        "criteria",
+        treg.ICPConvergenceCriteria(1e-6, -1.0, 30),
+        InputError,
+        "criteria.relative_rmse: expected a finite number >= 0, got -1",
+    ),
+    (
+        "criteria",
+        reg.ICPConvergenceCriteria(relative_rmse=np.nan),
+        InputError,
+        "criteria.relative_rmse: expected a finite number >= 0, got nan",
+    ),
+    (
+        "criteria",
+        reg.ICPConvergenceCriteria(relative_rmse=np.inf),
+        InputError,
+        "criteria.relative_rmse: expected a finite number >= 0, got inf",
+    ),
+    (
+        "estimation_method",
+        "icp",
+        InputTypeError,
+        "estimation_method: expected TransformationEstimationForAdaptiveGMM() or one of Open3D's, got str",
+    ),
+    (
+        "estimation_method",
+        TransformationEstimationForAdaptiveGMM,
+        InputTypeError,
+        "estimation_method: expected TransformationEstimationForAdaptiveGMM() or one of Open3D's, "
+        "got the class TransformationEstimationForAdaptiveGMM; add ()",
+    ),
+    (
+        "estimation_method",
+        reg.TransformationEstimationPointToPoint(True),
+        InputError,
+        "estimation_method: with_scaling is on, but a rigid registration estimates no scale; turn it off",
+    ),
+    (
+        "callback_after_iteration",
+        "print",
+        InputTypeError,
+        "callback_after_iteration: expected a function of one dictionary, got str",
+    ),
+]
+OPTION_CASES = [
+    (
+        {"sigma_rule": "fixed"},
+        InputError,
+        "sigma_rule: expected one of 'posterior', 'annealed', 'nearest', 'figure2', got 'fixed'",
+    ),
+    ({"sigma_rule": None}, InputError, "sigma_rule: expected one of 'posterior', "),
+    ({"sigma_rule": ["nearest"]}, InputError, "sigma_rule: expected one of 'posterior', "),
+    ({"start": "far"}, InputError, "start: expected one of 'auto', 'init', 'centroids', got 'far'"),
+    ({"start": 0}, InputError, "start: expected one of 'auto', 'init', 'centroids', got 0"),
+    ({"search": "no"}, InputTypeError, "search: expected a bool, got str"),
+    ({"search": 1}, InputTypeError, "search: expected a bool, got int"),
+    ({"mutuality": -0.1}, InputError, "mutuality: expected 0 <= mutuality <= 0.5 or None, got -0.1"),
+    ({"mutuality": 0.6}, InputError, "mutuality: expected 0 <= mutuality <= 0.5 or None, got 0.6"),
+    ({"mutuality": np.nan}, InputError, "mutuality: expected a finite number, got nan"),
+    ({"mutuality": "half"}, InputTypeError, "mutuality: expected a real number, got str"),
+    ({"relaxation": 0.9}, InputError, "relaxation: expected 1 <= relaxation < 2, got 0.9"),
+    ({"relaxation": 2.0}, InputError, "relaxation: expected 1 <= relaxation < 2, got 2"),
+    ({"relaxation": np.inf}, InputError, "relaxation: expected a finite number, got inf"),
+    ({"relaxation": "1.5"}, InputTypeError, "relaxation: expected a real number, got str"),
+    ({"relaxation": True}, InputTypeError, "relaxation: expected a real number, got bool"),
+]
+
+
+def check(call, error, message):
+    with pytest.raises(AdaGMMError, match=re.compile(re.escape(message))) as caught:
+        call()
+    assert type(caught.value) is error
+    assert str(caught.value).startswith(message)
+    assert "\n" not in str(caught.value)
+    assert isinstance(caught.value, {InputTypeError: TypeError, DeviceError: RuntimeError}.get(error, ValueError))
+
+
+def legacy(points, covariances=None):
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+    if covariances is not None:
+        cloud.covariances = o3d.utility.Matrix3dVector(covariances)
+    return cloud
+
+
+def tensor(points, covariances=None, dtype=core.float32):
+    cloud = o3d.t.geometry.PointCloud(core.Tensor(np.asarray(points, float), dtype))
+    if covariances is not None:
+        cloud.point.covariances = core.Tensor(np.asarray(covariances, float), dtype)
+    return cloud
+
+
+# register_points
+
+
+@pytest.mark.parametrize("side", ["source", "target"])
+@pytest.mark.parametrize(("points", "error", "message"), POINT_CASES + ARRAY_CASES)
+def test_points_as_arrays(side, points, error, message):
+    arguments = {"source": POINTS[3], "target": POINTS[3], side: points}
+    check(lambda: register_points(**arguments), error, f"{side}.{message}")
+
+
+@pytest.mark.parametrize("side", ["source", "target"])
+@pytest.mark.parametrize(("covariances", "error", "message"), COVARIANCE_CASES + ARRAY_COVARIANCE_CASES)
+def test_covariances_as_arrays(side, covariances, error, message):
+    arguments = {"source": POINTS[3], "target": POINTS[3], f"{side}_covariances": covariances}
+    check(lambda: register_points(**arguments), error, f"{side}.{message}")
+
+
+def test_points_of_the_plane_in_one_place():
+    message = "source.points: all 60 points are in one place; a pose cannot be found"
+    for place in (0.0, 1e6 + 0.1):
+        check(lambda p=place: register_points(np.full((N, 2), p), POINTS[2]), DegenerateError, message)
+
+
+def test_a_cloud_of_the_plane_against_one_of_space():
+    check(
+        lambda: register_points(POINTS[2], POINTS[3]),
+        InputError,
+        "target.points: expected shape (n, 2) as the source has, got (n, 3)",
+    )
+    check(
+        lambda: register_points(POINTS[2], POINTS[2], init=np.eye(4)),
+        InputError,
+        "init: expected shape (3, 3), got (4, 4)",
+    )
+
+
+@pytest.mark.parametrize("rule", ["posterior", "nearest"])
+@pytest.mark.parametrize(("init", "error", "message"), INIT_CASES)
+def test_init_of_arrays(rule, init, error, message):
+    method = TransformationEstimationForAdaptiveGMM(sigma_rule=rule)
+    check(lambda: register_points(POINTS[3], POINTS[3], init=init, estimation_method=method), error, message)
+
+
+@pytest.mark.parametrize(("device", "error", "message"), DEVICE_CASES)
+def test_device_of_arrays(device, error, message):
+    check(lambda: register_points(POINTS[3], POINTS[3], device=device), error, message)
+
+
+@pytest.mark.parametrize(("name", "value", "error", "message"), SETTING_CASES)
+def test_settings_of_arrays(name, value, error, message):
+    check(lambda: register_points(POINTS[3], POINTS[3], **{name: value}), error, message)
+
+
+# registration_adaptive_gmm
+
+
+@pytest.mark.parametrize("make", [legacy, tensor])
+@pytest.mark.parametrize("side", ["source", "target"])
+@pytest.mark.parametrize(("points", "error", "message"), POINT_CASES)
+def test_clouds(make, side, points, error, message):
+    arguments = {"source": make(POINTS[3]), "target": make(POINTS[3]), side: make(points)}
+    check(lambda: registration_adaptive_gmm(**arguments, max_correspondence_distance=0.1), error, f"{side}.{message}")
+
+
+@pytest.mark.parametrize("make", [legacy, tensor])
+@pytest.mark.parametrize("side", ["source", "target"])
+@pytest.mark.parametrize(("covariances", "error", "message"), COVARIANCE_CASES)
+def test_covariances_of_clouds(make, side, covariances, error, message):
+    arguments = {"source": make(POINTS[3]), "target": make(POINTS[3]), side: make(POINTS[3], covariances)}
+    check(lambda: registration_adaptive_gmm(**arguments, max_correspondence_distance=0.1), error, f"{side}.{message}")
+
+
+def test_covariances_that_do_not_match_the_points():
+    good = legacy(POINTS[3])
+    check(
+        lambda: registration_adaptive_gmm(legacy(POINTS[3], UNIT[:7]), good, 0.1),
+        InputError,
+        "source.covariances: expected one for each of the 60 points, got 7",
+    )
+    flat = tensor(POINTS[3])
+    flat.point.covariances = core.Tensor(np.ones((N, 3), np.float32))
+    for voxel_size in (-1.0, 0.1):
+        check(
+            lambda v=voxel_size: registration_adaptive_gmm(tensor(POINTS[3]), flat, 0.1, voxel_size=v),
+            InputError,
+            "target.covariances: expected shape (60, 3, 3), got (60, 3)",
+        )
+
+
+def test_things_that_are_no_clouds():
+    good, good_tensor = legacy(POINTS[3]), tensor(POINTS[3])
+    wanted = "expected an open3d.geometry.PointCloud or open3d.t.geometry.PointCloud, got"
+    for value, name in ((None, "NoneType"), (POINTS[3], "ndarray; for arrays see register_points()")):
+        check(lambda v=value: registration_adaptive_gmm(v, good, 0.1), InputTypeError, f"source: {wanted} {name}")
+        check(
+            lambda v=value: registration_adaptive_gmm(good_tensor, v, 0.1), InputTypeError, f"target: {wanted} {name}"
+        )
+    check(
+        lambda: registration_adaptive_gmm(good, o3d.geometry.TriangleMesh(), 0.1),
+        InputTypeError,
+        f"target: {wanted} TriangleMesh",
+    )
+    check(
+        lambda: registration_adaptive_gmm(good_tensor, good, 0.1),
+        InputTypeError,
+        "target: expected a open3d.t.geometry.PointCloud as the source is, got a open3d.geometry.PointCloud; "
+        "convert it with open3d.t.geometry.PointCloud.from_legacy()",
+    )
+    check(
+        lambda: registration_adaptive_gmm(good, good_tensor, 0.1),
+        InputTypeError,
+        "target: expected a open3d.geometry.PointCloud as the source is, got a open3d.t.geometry.PointCloud; "
+        "convert it with .to_legacy()",
+    )
+
+
+def test_tensor_clouds_without_positions_or_of_another_dtype():
+    good = tensor(POINTS[3])
+    check(
+        lambda: registration_adaptive_gmm(o3d.t.geometry.PointCloud(), good, 0.1),
+        InputError,
+        "source.point.positions: the cloud is empty; registration needs at least 3 points",
+    )
+    check(
+        lambda: registration_adaptive_gmm(good, tensor(100 * POINTS[3], dtype=core.int32), 0.1),
+        InputTypeError,
+        "target.point.positions: expected Float32 or Float64, got Int32",
+    )
+    check(
+        lambda: registration_adaptive_gmm(good, tensor(POINTS[3], dtype=core.float64), 0.1),
+        InputTypeError,
+        "target.point.positions: expected Float32 as the source has, got Float64; convert with .to()",
+    )
+
+
+@pytest.mark.parametrize("make", [legacy, tensor])
+@pytest.mark.parametrize(
+    ("distance", "error", "message"),
+    [
+        (0.0, InputError, "expected a finite number > 0, got 0"),
+        (-0.1, InputError, "expected a finite number > 0, got -0.1"),
+        (np.nan, InputError, "expected a finite number > 0, got nan"),
+        (np.inf, InputError, "expected a finite number > 0, got inf"),
+        (None, InputTypeError, "expected a real number, got NoneType"),
+        ("0.1", InputTypeError, "expected a real number, got str"),
+        (True, InputTypeError, "expected a real number, got bool"),
+        ([0.1, 0.05], InputTypeError, "expected a real number, got list"),
+    ],
+)
+def test_distances(make, distance, error, message):
+    clouds = make(POINTS[3]), make(POINTS[3])
+    check(lambda: registration_adaptive_gmm(*clouds, distance), error, f"max_correspondence_distance: {message}")
+
+
+@pytest.mark.parametrize("make", [legacy, tensor])
+@pytest.mark.parametrize(
+    ("voxel_size", "error", "message"),
+    [
+        (np.nan, InputError, "voxel_size: expected a finite number, got nan"),
+        (None, InputTypeError, "voxel_size: expected a real number, got NoneType"),
+        ("0.1", InputTypeError, "voxel_size: expected a real number, got str"),
+        (1e-12, InputError, "voxel_size: expected more than "),
+        (100.0, DegenerateError, "source.points: 1 points cannot fix a pose; at least 3 are needed"),
+    ],
+)
+def test_voxel_sizes(make, voxel_size, error, message):
+    clouds = make(3.0 + np.abs(POINTS[3])), make(POINTS[3])
+    check(lambda: registration_adaptive_gmm(*clouds, 0.1, voxel_size=voxel_size), error, message)
+
+
+@pytest.mark.parametrize("make", [legacy, tensor])
+@pytest.mark.parametrize(("init", "error", "message"), INIT_CASES)
+def test_init_of_clouds(make, init, error, message):
+    clouds = make(POINTS[3]), make(POINTS[3])
+    check(lambda: registration_adaptive_gmm(*clouds, 0.1, init), error, message)
+    if isinstance(init, np.ndarray):
+        start = core.Tensor(init)
+        check(lambda: registration_adaptive_gmm(*clouds, 0.1, init_source_to_target=start), error, message)
+
+
+def test_init_given_twice():
+    clouds = legacy(POINTS[3]), legacy(POINTS[3])
+    check(
+        lambda: registration_adaptive_gmm(*clouds, 0.1, np.eye(4), init_source_to_target=np.eye(4)),
+        InputError,
+        "init: given twice, as init and as init_source_to_target; give one",
+    )
+
+
+@pytest.mark.parametrize("make", [legacy, tensor])
+@pytest.mark.parametrize(("device", "error", "message"), DEVICE_CASES)
+def test_device_of_clouds(make, device, error, message):
+    check(lambda: registration_adaptive_gmm(make(POINTS[3]), make(POINTS[3]), 0.1, device=device), error, message)
+
+
+@pytest.mark.parametrize("make", [legacy, tensor])
+@pytest.mark.parametrize(("name", "value", "error", "message"), SETTING_CASES)
+def test_settings_of_clouds(make, name, value, error, message):
+    clouds = make(POINTS[3]), make(POINTS[3])
+    check(lambda: registration_adaptive_gmm(*clouds, 0.1, **{name: value}), error, message)
+
+
+# options
+
+
+@pytest.mark.parametrize(("options", "error", "message"), OPTION_CASES)
+def test_options(options, error, message):
+    check(lambda: TransformationEstimationForAdaptiveGMM(**options), error, message)
+
+
+def test_options_are_frozen_and_compare_by_value():
+    options = TransformationEstimationForAdaptiveGMM(relaxation=1.5)
+    with pytest.raises(AttributeError):
+        options.relaxation = 1.0
+    assert options == TransformationEstimationForAdaptiveGMM(relaxation=1.5)
+    assert hash(options) != hash(TransformationEstimationForAdaptiveGMM())

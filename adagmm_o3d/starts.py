@@ -1,4 +1,4 @@
-"""Where the search begins: one wide start, and narrow ones around it for what the wide one's pull to centroids loses."""
+"""Where the search begins: one wide start, and narrow ones around it for what the wide one's pull to centres loses."""
 
 from __future__ import annotations
 

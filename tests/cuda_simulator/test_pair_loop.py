@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 import reference
-from cases import FREE, Case, spoil
+from cuda_cases import (
+    Case,
+    bits,
+    check_against_the_cpu,
+    check_nearest,
+    check_posterior_sums,
+    check_same,
+    check_sums,
+    spoil,
+)
 
 from adagmm_o3d.em import Criteria, expectation_maximisation
 from adagmm_o3d.expectation import AdaptiveExpectation, PosteriorExpectation
@@ -28,73 +37,24 @@ def few_blocks(monkeypatch):
 @shapes
 @sizes
 def test_sums_match_the_naive_reference(dimension, isotropic, m, n):
-    case = Case(7 * m + n, m, n, dimension, isotropic)
-    sums = case.cuda_loop().sums(case.lifted, *case.sigmas)
-    C = reference.pair_weights(case.y, case.B, case.target, case.A) / case.unit()
-    args = (C, case.y, case.B, case.target, case.A)
-    free = FREE[dimension]
-    hessian = 0.5 * reference.gauss_newton_hessian(*args, turning=False)
-    gradient = 0.5 * reference.gradient(*args)
-    np.testing.assert_allclose(sums.row_weights, C.sum(axis=1), rtol=2e-6, atol=1e-7 * C.sum() / m)
-    np.testing.assert_allclose(sums.weight, C.sum(), rtol=1e-6, atol=0)
-    np.testing.assert_allclose(sums.energy, reference.energy(*args), rtol=1e-6, atol=0)
-    np.testing.assert_allclose(sums.hessian[np.ix_(free, free)], hessian, rtol=1e-5, atol=1e-6 * np.abs(hessian).max())
-    np.testing.assert_allclose(sums.gradient[free], gradient, rtol=1e-5, atol=1e-6 * np.abs(hessian).max())
+    check_sums(Case(7 * m + n, m, n, dimension, isotropic))
 
 
 @shapes
 @pytest.mark.parametrize(("m", "n", "mutuality"), [(*size, 0.5) for size in SIZES] + [(TILE + 1, TILE - 1, 0.0)])
 def test_posterior_sums_match_the_naive_reference(dimension, isotropic, m, n, mutuality):
-    case = Case(11 * m + n, m, n, dimension, isotropic)
-    sigma, uniform = 0.2, 0.05
-    S, T = sigma * reference.turn(case.source_covariances, case.R), sigma * case.target_covariances
-    columns = np.random.default_rng(n).uniform(0.0, 0.5, n)
-    expected = reference.posterior_sums(case.y, S, case.target, T, uniform, columns, mutuality)
-    sums, column_densities = case.cuda_loop().posterior_sums(case.lifted, sigma, uniform, columns, mutuality)
-    free = FREE[dimension]
-    scale = np.abs(expected.hessian).max()
-    np.testing.assert_allclose(sums.hessian[np.ix_(free, free)], expected.hessian, rtol=1e-5, atol=1e-6 * scale)
-    np.testing.assert_allclose(sums.gradient[free], expected.gradient, rtol=1e-5, atol=1e-6 * scale)
-    np.testing.assert_allclose([sums.weight, sums.energy], [expected.weight, expected.energy], rtol=1e-6, atol=0)
-    posterior = expected.densities / (expected.densities + uniform)
-    column_posterior = expected.column_densities / (expected.column_densities + uniform)
-    np.testing.assert_allclose(sums.row_weights, posterior, rtol=2e-6, atol=1e-9)
-    np.testing.assert_allclose(np.asarray(column_densities), expected.column_densities, rtol=2e-6, atol=1e-9)
-    overlaps = [sums.overlap, sums.target_overlap]
-    np.testing.assert_allclose(overlaps, [posterior.mean(), column_posterior.mean()], rtol=1e-6, atol=0)
-    likelihood = np.log1p(expected.densities / uniform).mean() + np.log1p(expected.column_densities / uniform).mean()
-    np.testing.assert_allclose(sums.log_likelihood, likelihood, rtol=1e-6, atol=0)
+    check_posterior_sums(Case(11 * m + n, m, n, dimension, isotropic), mutuality)
 
 
 @shapes
 @sizes
 def test_nearest_distances_match_the_naive_reference(dimension, isotropic, m, n):
-    case = Case(m + n, m, n, dimension, isotropic)
-    nearest = np.sqrt(case.cuda_loop().nearest_sq(case.lifted))
-    np.testing.assert_allclose(nearest, reference.nearest_distances(case.y, case.target), rtol=1e-5, atol=1e-6)
+    check_nearest(Case(m + n, m, n, dimension, isotropic))
 
 
 @shapes
 def test_the_cpu_gives_the_same_sums(dimension, isotropic):
-    case = Case(3, 2 * TILE + 1, 3 * TILE, dimension, isotropic)
-    cpu, cuda = case.cpu_loop(), case.cuda_loop()
-    assert_same(cuda.sums(case.lifted, *case.sigmas), cpu.sums(case.lifted, *case.sigmas))
-    _, cpu_columns = cpu.posterior_sums(case.lifted, 0.3, 0.05)
-    _, cuda_columns = cuda.posterior_sums(case.lifted, 0.3, 0.05)
-    np.testing.assert_allclose(np.asarray(cuda_columns), cpu_columns, rtol=2e-6, atol=1e-9)
-    expected, _ = cpu.posterior_sums(case.lifted, 0.2, 0.04, cpu_columns, 0.3)
-    sums, _ = cuda.posterior_sums(case.lifted, 0.2, 0.04, cuda_columns, 0.3)
-    assert_same(sums, expected)
-    np.testing.assert_allclose(sums.log_likelihood, expected.log_likelihood, rtol=1e-6, atol=0)
-    np.testing.assert_allclose(sums.target_overlap, expected.target_overlap, rtol=1e-6, atol=0)
-
-
-def assert_same(sums, expected):
-    scale = np.abs(expected.hessian).max()
-    np.testing.assert_allclose(sums.hessian, expected.hessian, rtol=1e-5, atol=1e-6 * scale)
-    np.testing.assert_allclose(sums.gradient, expected.gradient, rtol=1e-5, atol=1e-6 * scale)
-    np.testing.assert_allclose([sums.weight, sums.energy], [expected.weight, expected.energy], rtol=1e-6, atol=0)
-    np.testing.assert_allclose(sums.row_weights, expected.row_weights, rtol=2e-6, atol=1e-9)
+    check_against_the_cpu(Case(3, 2 * TILE + 1, 3 * TILE, dimension, isotropic))
 
 
 @pytest.mark.parametrize("isotropic", [True, False])
@@ -109,20 +69,15 @@ def test_shares_of_the_other_side_add_up_to_the_same(isotropic, monkeypatch):
     alone = passes()
     monkeypatch.setattr(pair_loop, "WANTED_BLOCKS", 1000)
     shared = passes()
-    assert_same(shared[0], alone[0])
-    assert_same(shared[1], alone[1])
+    check_same(shared[0], alone[0])
+    check_same(shared[1], alone[1])
     np.testing.assert_allclose(shared[2], alone[2], rtol=2e-6, atol=1e-9)
     np.testing.assert_array_equal(shared[3], alone[3])
 
 
 def test_the_bits_are_the_same_every_time():
     case = Case(5, TILE + 3, 3 * TILE + 1, 3, isotropic=False)
-
-    def bits():
-        sums = case.cuda_loop().sums(case.lifted, *case.sigmas)
-        return sums.hessian.tobytes(), sums.gradient.tobytes(), sums.energy, sums.row_weights.tobytes()
-
-    assert bits() == bits()
+    assert bits(case) == bits(case)
 
 
 @shapes

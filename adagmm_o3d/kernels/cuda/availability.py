@@ -37,8 +37,10 @@ def missing_front_end() -> str | None:
         return None
     if importlib.util.find_spec("numba_cuda") is None:
         return f"numba-cuda is not installed; {INSTALL}"
-    from numba import cuda
-
+    try:
+        from numba import cuda
+    except (ImportError, AttributeError) as error:
+        return f"numba-cuda cannot be imported ({error}); {INSTALL}"
     if getattr(cuda, "implementation", None) != "NVIDIA":
         return "numba-cuda is installed, but its .pth file was not read, so numba.cuda is not NVIDIA's; use a venv"
     return None

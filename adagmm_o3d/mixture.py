@@ -21,6 +21,10 @@ VAGUE = 100.0
 # What the kernels' float32 can tell apart: variances relative to the unit, and the least one of a point to its largest.
 VARIANCE_RANGE = (1e-6, 1e12)
 THINNEST = 1e-6
+# The share of a cloud that must be seen as more than a dot, and how small that is, in radii.
+BULK, FINEST = 0.9, 1e-3
+# Clouds this many radii apart do not see each other, and float32 has no digits for more.
+FARTHEST = 1e4
 # Squares of coordinates [input units] must neither overflow nor vanish.
 LARGEST_COORDINATE, SMALLEST_EXTENT = 1e140, 1e-140
 PACKED = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
@@ -237,10 +241,13 @@ class Normalisation:
         return sigma * self.scale**2 / self.variance
 
     def pose_in(self, transformation: Array) -> Array:
-        """(4, 4) input pose → the same pose between normalised clouds."""
+        """(4, 4) input pose → the same pose between normalised clouds, brought to within FARTHEST if farther apart."""
         pose = transformation.copy()
-        moved = transformation[:3, :3] @ self.source_centre + transformation[:3, 3]
-        pose[:3, 3] = (moved - self.target_centre) / self.scale
+        offset = transformation[:3, :3] @ self.source_centre + transformation[:3, 3] - self.target_centre
+        largest = float(np.abs(offset).max())
+        if largest > FARTHEST * self.scale:
+            offset *= FARTHEST * self.scale / largest
+        pose[:3, 3] = offset / self.scale
         return pose
 
     def pose_out(self, pose: Array) -> Array:
@@ -254,18 +261,24 @@ def normalise(source: Mixture, target: Mixture) -> tuple[Mixture, Mixture, Norma
     """Both mixtures with their own centroid at the origin, the larger RMS radius 1 and covariances of unit scale.
 
     A point counts for the centroid as far as it is certain; flagged outliers do not count for the radius either.
+
+    Raises
+    ------
+    InputError : a cloud that is hardly more than a dot at that scale.
     """
     sides = (source, target)
     variances = [m.variances() for m in sides]
     unit = float(np.percentile(np.concatenate(variances), GOOD_PERCENTILE))
     relative = [np.clip(v / unit, *VARIANCE_RANGE) for v in variances]
     centres = [np.average(m.points, axis=0, weights=m.weights / r) for m, r in zip(sides, relative, strict=True)]
-    weights = [m.weights * np.minimum(1.0, VAGUE / r) for m, r in zip(sides, relative, strict=True)]
+    certain = [r <= VAGUE if (r <= VAGUE).any() else np.full(len(r), True) for r in relative]
     radii = [
-        np.sqrt(np.average(((m.points - c) ** 2).sum(axis=1), weights=w))
-        for m, c, w in zip(sides, centres, weights, strict=True)
+        np.sqrt(np.average(((m.points[k] - c) ** 2).sum(axis=1), weights=m.weights[k]))
+        for m, c, k in zip(sides, centres, certain, strict=True)
     ]
     scale = float(max(radii))
+    for name, m, k in zip(("source", "target"), sides, certain, strict=True):
+        _check_resolution(name, m.points[k], scale)
     normalised = []
     for m, c, v, r in zip(sides, centres, variances, relative, strict=True):
         covariances = (m.covariances / unit) * (r / (v / unit))[:, None, None]
@@ -273,3 +286,13 @@ def normalise(source: Mixture, target: Mixture) -> tuple[Mixture, Mixture, Norma
             covariances[:, 2, 2] = 1.0
         normalised.append(Mixture((m.points - c) / scale, covariances, m.weights, m.dimension, m.isotropic, m.kept))
     return normalised[0], normalised[1], Normalisation(centres[0], centres[1], scale, unit)
+
+
+def _check_resolution(name: str, points: Array, scale: float) -> None:
+    """Raise where a few points far away, or the other cloud, make a dot of a cloud's bulk."""
+    bulk = float(np.quantile(np.linalg.norm(points - np.median(points, axis=0), axis=1), BULK))
+    if bulk < FINEST * scale:
+        raise InputError(
+            f"{name}.points: {BULK:.0%} lie within {bulk:.3g} of their median, but the radius of the clouds is "
+            f"{scale:.3g}; check the units, remove far points or mark_outliers()"
+        )

@@ -1,0 +1,248 @@
+"""Clouds at the edge of what can be registered: the right answer or an honest refusal, never NaN, never a warning.
+
+NumPy's warnings are errors here; a result that is wrong must say that it is not to be trusted.
+"""
+
+from typing import get_args
+
+import numpy as np
+import open3d as o3d
+import pytest
+from mixtures import random_pose
+from shapes import bumpy, move
+
+from adagmm_o3d import (
+    InputError,
+    TransformationEstimationForAdaptiveGMM,
+    mark_outliers,
+    register_points,
+    registration_adaptive_gmm,
+)
+from adagmm_o3d.evaluation import pose_errors
+from adagmm_o3d.options import SigmaRuleName
+
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning", "error::DeprecationWarning")
+rules = pytest.mark.parametrize("rule", get_args(SigmaRuleName))
+N = 300
+
+
+def with_rule(rule, **kwargs):
+    return TransformationEstimationForAdaptiveGMM(sigma_rule=rule, **kwargs)
+
+
+def assert_finite(result):
+    for name in ("transformation", "sigmas", "energies", "transformations", "row_weights", "overlap", "sigma"):
+        assert np.isfinite(getattr(result, name)).all(), name
+    if result.pose_covariance is not None:
+        assert np.isfinite(result.pose_covariance).all()
+    assert all(np.isfinite(direction).all() for direction in result.unobservable)
+    rotation = result.transformation[:-1, :-1]
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(len(rotation)), rtol=0, atol=1e-9)
+
+
+def assert_right_or_doubted(result, T, *, angle_deg=2.0, translation=0.05):
+    assert_finite(result)
+    errors = pose_errors(T, result.transformation)
+    right = errors.rotation_deg < angle_deg and errors.translation < translation
+    assert right or not result.trustworthy
+
+
+@pytest.fixture(scope="module")
+def cloud():
+    rng = np.random.default_rng(0)
+    points = bumpy(rng, N, 3)
+    return points, random_pose(rng, 3, angle=0.3, distance=0.3)
+
+
+@rules
+@pytest.mark.parametrize("unit", [1e-12, 1e-6, 1e6, 1e12])
+def test_any_unit_of_length(cloud, rule, unit):
+    points, T = cloud
+    scaled = T.copy()
+    scaled[:3, 3] *= unit
+    result = register_points(unit * points, move(unit * points, scaled), estimation_method=with_rule(rule))
+    result.transformation[:3, 3] /= unit
+    assert_right_or_doubted(result, T)
+    assert np.isfinite(result.sigma) and result.sigma > 0.0
+
+
+@rules
+def test_far_from_the_origin(cloud, rule):
+    points, T = cloud
+    offset = np.array([1e6, -2e6, 3e5])
+    far_target = move(points, T) - 3.0 * offset
+    result = register_points(points + offset, far_target, estimation_method=with_rule(rule))
+    assert_finite(result)
+    distance = np.linalg.norm(move(points + offset, result.transformation) - far_target, axis=1).max()
+    assert distance < 0.02 or not result.trustworthy
+
+
+def test_far_from_the_origin_as_clouds(cloud):
+    points, T = cloud
+    offset = np.array([1e6, -2e6, 3e5])
+    clouds = [
+        o3d.geometry.PointCloud(o3d.utility.Vector3dVector(p)) for p in (points + offset, move(points, T) - offset)
+    ]
+    result = registration_adaptive_gmm(*clouds, 0.02)
+    assert result.fitness == 1.0
+
+
+@rules
+def test_identical_clouds(cloud, rule):
+    points, _ = cloud
+    assert_right_or_doubted(
+        register_points(points, points, estimation_method=with_rule(rule)), np.eye(4), angle_deg=0.01, translation=1e-4
+    )
+
+
+@rules
+def test_one_plane(cloud, rule):
+    points, T = cloud
+    flat = points * [1.0, 1.0, 0.0]
+    assert_right_or_doubted(register_points(flat, move(flat, T), estimation_method=with_rule(rule)), T)
+
+
+@rules
+def test_a_line_in_the_plane(rule):
+    line = np.linspace(0.0, 1.0, 50)[:, None] * np.array([1.0, 2.0])
+    T = random_pose(np.random.default_rng(1), 2, angle=0.2, distance=0.1)
+    assert_right_or_doubted(register_points(line, move(line, T), estimation_method=with_rule(rule)), T)
+
+
+@rules
+@pytest.mark.parametrize("gap", [1e2, 1e6, 1e10, 1e30, 1e200, 1e307])
+def test_a_start_where_the_clouds_do_not_overlap(cloud, rule, gap):
+    points, T = cloud
+    init = np.eye(4)
+    init[0, 3] = gap
+    try:
+        result = register_points(points, move(points, T), init=init, estimation_method=with_rule(rule))
+    except InputError as error:
+        assert str(error).startswith("init: ")
+    else:
+        assert_right_or_doubted(result, T)
+
+
+@rules
+def test_clouds_far_apart_and_told_to_start_there(cloud, rule):
+    points, T = cloud
+    far = move(points, T) + 1e4
+    shifted = T.copy()
+    shifted[:3, 3] += 1e4
+    result = register_points(points, far, estimation_method=with_rule(rule, start="init"))
+    assert_right_or_doubted(result, shifted)
+
+
+@rules
+def test_three_points_against_very_many(cloud, rule):
+    _, T = cloud
+    many = bumpy(np.random.default_rng(2), 100_000, 3)
+    for source, target in ((many[:3], move(many, T)), (many, move(many[:3], T))):
+        result = register_points(source, target, estimation_method=with_rule(rule))
+        assert_finite(result)
+
+
+def test_three_points_against_themselves(cloud):
+    points, T = cloud
+    result = register_points(points[:3], move(points[:3], T))
+    assert_right_or_doubted(result, T)
+
+
+@rules
+@pytest.mark.parametrize("scale", [1e-307, 1e-30, 1e30, 1e307])
+@pytest.mark.parametrize("isotropic", [True, False])
+def test_covariances_of_any_size(cloud, rule, scale, isotropic):
+    points, T = cloud
+    factors = np.random.default_rng(3).normal(size=(N, 3, 3))
+    shape = np.eye(3) if isotropic else 0.2 * factors @ factors.transpose(0, 2, 1) + 0.5 * np.eye(3)
+    covariances = scale * np.broadcast_to(shape, (N, 3, 3))
+    turned = T[:3, :3] @ covariances @ T[:3, :3].T
+    result = register_points(points, move(points, T), covariances, turned, estimation_method=with_rule(rule))
+    assert_right_or_doubted(result, T)
+
+
+@rules
+@pytest.mark.parametrize("factor", [1e-300, 1e-12, 1e12, 1e300])
+def test_covariances_of_very_different_sizes(cloud, rule, factor):
+    points, T = cloud
+    covariances = np.tile(np.eye(3), (N, 1, 1))
+    covariances[::2] *= factor
+    result = register_points(points, move(points, T), covariances, covariances, estimation_method=with_rule(rule))
+    assert_right_or_doubted(result, T)
+
+
+@rules
+@pytest.mark.parametrize("thickness", [1e-3, 1e-6, 1e-9, 1e-11])
+def test_covariances_as_thin_as_paper(cloud, rule, thickness):
+    points, T = cloud
+    normals = points / np.linalg.norm(points, axis=1, keepdims=True)
+    covariances = np.eye(3) - (1.0 - thickness) * normals[:, :, None] * normals[:, None, :]
+    turned = T[:3, :3] @ covariances @ T[:3, :3].T
+    result = register_points(points, move(points, T), covariances, turned, estimation_method=with_rule(rule))
+    assert_right_or_doubted(result, T)
+
+
+@rules
+def test_nothing_but_outliers_on_one_side(cloud, rule):
+    points, T = cloud
+    flagged = mark_outliers(np.tile(np.eye(3), (N, 1, 1)), np.ones(N, bool))
+    result = register_points(points, move(points, T), flagged, None, estimation_method=with_rule(rule))
+    assert_finite(result)
+    assert not result.trustworthy
+
+
+@rules
+def test_nothing_but_outliers_on_both_sides_is_a_common_factor(cloud, rule):
+    points, T = cloud
+    flagged = mark_outliers(np.tile(np.eye(3), (N, 1, 1)), np.ones(N, bool))
+    result = register_points(points, move(points, T), flagged, flagged, estimation_method=with_rule(rule))
+    assert_right_or_doubted(result, T)
+
+
+@rules
+def test_a_far_point_that_is_not_flagged_is_refused(cloud, rule):
+    points, T = cloud
+    far = np.vstack([points, [[1e6, 0.0, 0.0]]])
+    with pytest.raises(InputError, match=r"^source\.points: 90% lie within 1.\d+ of their median, but the radius of"):
+        register_points(far, move(points, T), estimation_method=with_rule(rule))
+
+
+@rules
+def test_a_far_point_that_is_flagged_does_no_harm(cloud, rule):
+    points, T = cloud
+    far = np.vstack([points, [[1e6, 0.0, 0.0]]])
+    covariances = mark_outliers(np.tile(np.eye(3), (N + 1, 1, 1)), np.arange(N + 1) == N)
+    result = register_points(far, move(points, T), covariances, None, estimation_method=with_rule(rule))
+    assert_right_or_doubted(result, T)
+
+
+@rules
+@pytest.mark.parametrize("factor", [1e-9, 1e-4])
+def test_clouds_in_different_units_are_refused(cloud, rule, factor):
+    points, T = cloud
+    for clouds, name in (((factor * points, move(points, T)), "source"), ((points, factor * points), "target")):
+        with pytest.raises(InputError, match=rf"^{name}\.points: 90% lie within .*; check the units"):
+            register_points(*clouds, estimation_method=with_rule(rule))
+
+
+@rules
+def test_points_repeated_in_one_place(cloud, rule):
+    points, T = cloud
+    repeated = np.vstack([points, np.repeat(points[:1], N, axis=0)])
+    assert_right_or_doubted(register_points(repeated, move(repeated, T), estimation_method=with_rule(rule)), T)
+
+
+@pytest.mark.parametrize("make", [lambda rng: rng.normal(size=(N, 3)), lambda rng: rng.uniform(size=(N, 3))])
+def test_unrelated_clouds_give_something_finite(cloud, make):
+    points, _ = cloud
+    assert_finite(register_points(points, make(np.random.default_rng(4))))
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_as_few_points_as_possible_everywhere(dimension):
+    rng = np.random.default_rng(dimension)
+    for _ in range(20):
+        points = rng.normal(size=(rng.integers(3, 6), dimension))
+        T = random_pose(rng, dimension, angle=rng.uniform(0.01, 3.0), distance=0.5)
+        for init in (None, "global"):
+            assert_finite(register_points(points, move(points, T), init=init))

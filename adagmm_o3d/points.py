@@ -16,10 +16,10 @@ from .arguments import Array
 from .cascade import SMALL, Cascade
 from .conclusion import conclude, lower
 from .em import expectation_maximisation
-from .errors import DeviceError, InputError
+from .errors import InputError
 from .expectation import CLOSE_VOLUME, OPEN_VOLUME, AdaptiveExpectation
 from .global_search import is_ambiguous, search_globally
-from .kernels.pair_loop import PairLoop
+from .kernels.backend import check_device, make_pair_loop
 from .lie import project_to_rotation, split
 from .mixture import Mixture, Normalisation, make_mixture, normalise
 from .options import TransformationEstimationForAdaptiveGMM
@@ -65,7 +65,7 @@ def register_points(
     estimation_method : the options; None, or one of Open3D's own, for the defaults.
     criteria : Open3D's ICPConvergenceCriteria; `relative_rmse` bounds the last step (see `em.Criteria`),
         `max_iteration` the EM iterations on all points (the levels before have a few dozen). None for 1e-3 and 200.
-    device : "auto" or "cpu".
+    device : "cpu", "cuda", or "auto": a GPU where there is one and enough to do. The coarse levels stay on the CPU.
     callback_after_iteration : called after each EM iteration with a dictionary, see `registration_adaptive_gmm`.
 
     Returns
@@ -83,7 +83,7 @@ def register_points(
     """
     method, limits = check_estimation_method(estimation_method), check_criteria(criteria)
     callback = check_callback(callback_after_iteration)
-    _check_device(device)
+    check_device(device)
     moving = make_mixture("source", source, source_covariances)
     fixed = make_mixture("target", target, target_covariances)
     if moving.dimension != fixed.dimension:
@@ -104,7 +104,7 @@ def register_points(
         if observe is not None:
             for iteration in best.iterations:
                 observe(iteration)
-        start, volume, pairs = best.start, cascade.volume, PairLoop(moving, fixed)
+        start, volume, pairs = best.start, cascade.volume, make_pair_loop(moving, fixed, device)
         outcome = cascade.refine(
             pairs,
             best,
@@ -118,7 +118,7 @@ def register_points(
             raise InputError(f"init: 'global' needs sigma_rule 'posterior', got {method.sigma_rule!r}")
         identity = normalisation.pose_in(np.eye(4))
         start = given if given is not None else identity if method.start == "init" else np.eye(4)
-        volume, pairs = OPEN_VOLUME[dimension], PairLoop(moving, fixed)
+        volume, pairs = OPEN_VOLUME[dimension], make_pair_loop(moving, fixed, device)
         limits = replace(limits, relative_rmse=SLOW * limits.relative_rmse)
         expectation = AdaptiveExpectation(pairs, _sigma_rule(method, dimension), start)
         outcome = expectation_maximisation(
@@ -160,11 +160,6 @@ def _mutuality(method: TransformationEstimationForAdaptiveGMM, source: Mixture, 
     if method.mutuality is not None:
         return method.mutuality
     return 0.5 if max(len(source), len(target)) > SMALL else 0.0
-
-
-def _check_device(device: str) -> None:
-    if device not in ("auto", "cpu"):
-        raise DeviceError(f"device: expected 'auto' or 'cpu', got {device!r}")
 
 
 def _start_pose(init: ArrayLike, normalisation: Normalisation, dimension: int) -> Array:

@@ -1,0 +1,108 @@
+"""`adagmm-fusion verify`: has a sensor of a rig moved since it was calibrated?"""
+
+import argparse
+
+EXIT_CODES = {"unchanged": 0, "moved": 3, "undecided": 4}
+TABLE_WIDTH = 150  # where the output is no terminal
+
+
+def add(commands) -> None:
+    from adagmm_fusion.formats import FORMATS
+
+    text = (
+        "Register the clouds of several moments, starting from the rig's pose, and say how far the sensors have moved. "
+        "The recording must have frames of two sensors at one moment. The exit code is 0 if no sensor has moved, 3 if "
+        "one has, 4 if that cannot be said: the frames disagree, or too few could be registered."
+    )
+    command = commands.add_parser("verify", help="say whether a rig's calibration is still true", description=text)
+    command.add_argument("rig", metavar="RIG", help="the rig file; its intrinsics replace the recording's")
+    command.add_argument("recording", metavar="RECORDING", help="the recording; see recordings/README.md")
+    command.add_argument("--format", choices=sorted(FORMATS), help="the recording's format (default: looked for)")
+    command.add_argument("--frames", type=int, default=10, metavar="N", help="moments at most (default: %(default)s)")
+    command.add_argument(
+        "--max-rotation",
+        type=float,
+        default=1.0,
+        metavar="DEGREES",
+        help="up to which a sensor counts as unmoved (default: %(default)g)",
+    )
+    command.add_argument(
+        "--max-translation",
+        type=float,
+        default=50.0,
+        metavar="MM",
+        help="up to which a sensor counts as unmoved (default: %(default)g)",
+    )
+    command.add_argument(
+        "--device", choices=("auto", "cpu", "cuda"), default="auto", help="where the kernels run (default: %(default)s)"
+    )
+    command.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print how far each sensor is from where args.rig says; returns the exit code of the worst verdict.
+
+    Raises
+    ------
+    AdaGMMError  if rig or recording cannot be used.
+    """
+    from rich.console import Console
+
+    from adagmm_fusion.commands.progress import progress_bar
+    from adagmm_fusion.recording import open_recording
+    from adagmm_fusion.rig import load_rig
+    from adagmm_fusion.rig_check import MIN_FRAMES, check_rig
+    from adagmm_fusion.settings import Settings
+    from adagmm_o3d.errors import InputError
+
+    if args.frames < MIN_FRAMES:
+        raise InputError(f"--frames: expected at least {MIN_FRAMES}, got {args.frames}")
+    for name in ("max_rotation", "max_translation"):
+        if not 0 < getattr(args, name) < float("inf"):
+            raise InputError(f"--{name.replace('_', '-')}: expected a positive number, got {getattr(args, name)}")
+    rig = load_rig(args.rig)
+    recording = open_recording(args.recording, format=args.format, rig=rig)
+    with progress_bar(recording.name) as report:
+        checks = check_rig(
+            rig,
+            recording,
+            Settings(device=args.device),
+            max_rotation_deg=args.max_rotation,
+            max_translation_mm=args.max_translation,
+            max_frames=args.frames,
+            on_frame=report,
+        )
+    console = Console(highlight=False, soft_wrap=True)
+    if not console.is_terminal:
+        console = Console(highlight=False, soft_wrap=True, width=TABLE_WIDTH)
+    for check in checks:
+        console.print(_table(check))
+        console.print(_sentence(check), markup=False)
+    verdicts = {check.verdict for check in checks}
+    return next(EXIT_CODES[verdict] for verdict in ("moved", "undecided", "unchanged") if verdict in verdicts)
+
+
+def _table(check):
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table()
+    for heading in ("frame", "rotation [°]", "translation [mm]", ""):
+        table.add_column(heading, justify="left" if heading in ("frame", "") else "right", overflow="fold")
+    for frame in check.frames:
+        moved = ["", ""]
+        if frame.T_target_source is not None:
+            moved = [f"{frame.rotation_deg:.2f}", f"{frame.translation_mm:.1f}"]
+        table.add_row(Text(frame.frame), *moved, Text(frame.reason))
+    return table
+
+
+def _sentence(check) -> str:
+    if check.T_target_source is None:
+        good = sum(frame.T_target_source is not None for frame in check.frames)
+        return f"{check.source} against {check.target}: undecided, {good} of {len(check.frames)} frames registered"
+    return (
+        f"{check.source} against {check.target}: {check.verdict}, {check.rotation_deg:.2f}° ± "
+        f"{check.rotation_spread_deg:.2f}° and {check.translation_mm:.1f} mm ± {check.translation_spread_mm:.1f} mm "
+        "from the rig file (± is the spread over frames)"
+    )

@@ -33,8 +33,10 @@ from .m_step import FREE
 from .mixture import PACKED, Mixture, Normalisation
 from .observability import free_directions, generalised_eigen
 
-# Points of either cloud whose scores are looked at; their sums stand for those of all.
-SCORED = 5000
+# Of large clouds only some points' scores are looked at, and their sums stand for those of all: as many as make this
+# many pairs with the other cloud, but no fewer than LEAST_SCORED. (The denser the clouds, the more does each tell.)
+SCORED_PAIRS = 2e7
+LEAST_SCORED = 1000
 # The share of the pairs' own variance that is taken off. The textbook's is 1; this brings the mean of the normalised
 # error squared (it should be the number of directions, 6) to 5.2 on the simulation's ordinary trials and to 6.2 over
 # all its sweeps, heavy noise included; 1 to 6.1 and 7.1.
@@ -119,7 +121,7 @@ class ScoreMoments:
 
 
 def score_moments(pairs: PairLoop, source: Mixture, target: Mixture, fit: Fit) -> ScoreMoments:
-    """The scores of up to SCORED points of either cloud at a pose, scaled up to all."""
+    """The scores of the points of both clouds at a pose."""
     uniform = uniform_density(fit.unmatched, source.dimension, fit.volume)
     sums, column_densities = pairs.posterior_sums(fit.pose, fit.sigma, uniform)
     source_weights, target_weights = source.weights / source.weights.sum(), target.weights / target.weights.sum()
@@ -134,7 +136,7 @@ def score_moments(pairs: PairLoop, source: Mixture, target: Mixture, fit: Fit) -
         (moved, still, source_rest, target_weights, 1.0 - fit.mutuality),
         (still, moved, target_rest, source_weights, fit.mutuality),
     ):
-        chosen, growth = _chosen(own)
+        chosen, growth = _chosen(own, other)
         rows = _score_sums(own.take(chosen), other, shares, own is moved, source.dimension == 2, axis)
         score = rows[:, kernel.SCORE : kernel.SENSITIVITY]
         change = rows[:, kernel.SENSITIVITY : kernel.CURVATURE] * rest[own.index[chosen], None]
@@ -196,12 +198,13 @@ def _side(mixture: Mixture, fit: Fit, pose: Array, weights: Array, axis: int) ->
     )
 
 
-def _chosen(side: _Side) -> tuple[NDArray[np.intp], float]:
+def _chosen(own: _Side, other: _Side) -> tuple[NDArray[np.intp], float]:
     """Which points are looked at, and how many each of them stands for."""
-    n = len(side.index)
-    if n <= SCORED:
+    n = len(own.index)
+    count = max(LEAST_SCORED, int(SCORED_PAIRS / len(other.index)))
+    if n <= count:
         return np.arange(n), 1.0
-    return np.sort(np.random.default_rng(0).permutation(n)[:SCORED]), n / SCORED
+    return np.sort(np.random.default_rng(0).permutation(n)[:count]), n / count
 
 
 def _score_sums(own: _Side, other: _Side, shares: Array, own_is_source: bool, planar: bool, axis: int) -> Array:

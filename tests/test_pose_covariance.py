@@ -114,7 +114,8 @@ def test_a_part_of_the_points_stands_for_all(monkeypatch):
     rng = np.random.default_rng(8)
     registered = Registered(*sampled_twice(rng, 1500, 3, noise=0.02))
     whole = np.sqrt(np.diag(registered.uncertainty().covariance))
-    monkeypatch.setattr(pose_covariance, "SCORED", 500)
+    monkeypatch.setattr(pose_covariance, "SCORED_PAIRS", 0.0)
+    monkeypatch.setattr(pose_covariance, "LEAST_SCORED", 500)
     part = np.sqrt(np.diag(registered.uncertainty().covariance))
     np.testing.assert_allclose(part, whole, rtol=0.3, atol=0)
 

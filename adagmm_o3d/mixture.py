@@ -49,7 +49,7 @@ class Mixture:
     def __len__(self) -> int:
         return len(self.points)
 
-    def take(self, index: NDArray) -> Mixture:
+    def take(self, index: NDArray[np.integer] | NDArray[np.bool_]) -> Mixture:
         """The mixture of the chosen components."""
         return Mixture(
             self.points[index],
@@ -89,7 +89,8 @@ class Mixture:
         """(n,) the largest eigenvalue of each covariance: how far the point reaches."""
         if self.isotropic:
             return self.covariances[:, 0, 0].copy()
-        return np.linalg.eigvalsh(self.covariances[:, : self.dimension, : self.dimension])[:, -1]
+        eigenvalues = np.linalg.eigvalsh(self.covariances[:, : self.dimension, : self.dimension])
+        return np.asarray(eigenvalues[:, -1], np.float64)
 
 
 def make_mixture(
@@ -121,7 +122,7 @@ def make_mixture(
         )
     c = _check_covariances(name, covariances, n, dimension)
     w = _check_weights(name, weights, n)
-    usable = np.isfinite(c).all(axis=(1, 2))
+    usable: NDArray[np.bool_] = np.asarray(np.isfinite(c).all(axis=(1, 2)))
     dropped = int(n - usable.sum())
     if dropped > MAX_NONFINITE_SHARE * n:
         first = int(np.flatnonzero(~usable)[0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import open3d as o3d
@@ -17,7 +17,7 @@ from .settings import check_callback, check_criteria, check_estimation_method
 from .tensor_registration import check_voxel_size, register_tensor_clouds
 from .uncertainty import estimate_surface_covariances
 
-LegacyResult = o3d.pipelines.registration.RegistrationResult
+LegacyResult: TypeAlias = o3d.pipelines.registration.RegistrationResult
 
 
 class RegistrationResult(LegacyResult):

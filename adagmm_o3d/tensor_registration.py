@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import open3d as o3d
@@ -16,8 +16,8 @@ from .points import register_points
 from .result import PointRegistrationResult
 from .uncertainty import estimate_surface_covariances
 
-TensorCloud = o3d.t.geometry.PointCloud
-TensorResult = o3d.t.pipelines.registration.RegistrationResult
+TensorCloud: TypeAlias = o3d.t.geometry.PointCloud
+TensorResult: TypeAlias = o3d.t.pipelines.registration.RegistrationResult
 Callback = Callable[[dict[str, Any]], None]
 
 # Open3D numbers the voxels along an axis in 32 bits.

@@ -60,7 +60,7 @@ def _add_run(commands) -> None:
     default = {field.name: field.default for field in fields(Settings)}
     text = "Register the pairs of a recording; write a report, fused clouds, the estimated rig and a Rerun recording."
     command = commands.add_parser("run", help="register the pairs of a recording", description=text)
-    command.add_argument("recording", metavar="RECORDING", help="the recording's folder; see recordings/README.md")
+    command.add_argument("recording", metavar="RECORDING", help="its folder, or a folder of many; see recordings/README.md")
     command.add_argument("--calibration", metavar="RIG", help="a rig file instead of the recording's own calibration")
     command.add_argument("--format", choices=sorted(FORMATS), help="the recording's format (default: looked for)")
     command.add_argument(
@@ -73,6 +73,8 @@ def _add_run(commands) -> None:
     )
     command.add_argument("--pairs", metavar="LIST", help="which pairs, as in 0,3,5-7 (default: all)")
     command.add_argument("--output", metavar="DIR", help="where results go (default: output/<recording>)")
+    command.add_argument("--workers", type=int, metavar="N", help="for a folder of recordings: local processes")
+    command.add_argument("--scheduler", metavar="ADDRESS", help="for a folder of recordings: a Dask cluster instead")
     command.add_argument("--no-clouds", action="store_true", help="do not write fused clouds")
     method = command.add_argument_group("method")
     success = command.add_argument_group("what counts as success")
@@ -124,9 +126,12 @@ def _add_simulate(commands) -> None:
 
 def _run(args: argparse.Namespace) -> int:
     from adagmm_fusion.run import run
+    from adagmm_fusion.run_many import recordings_in, run_many
     from adagmm_fusion.settings import Settings
 
-    return run(args, Settings(**{name: getattr(args, name) for name in SETTINGS_OPTIONS}))
+    settings = Settings(**{name: getattr(args, name) for name in SETTINGS_OPTIONS})
+    recordings = recordings_in(args.recording)
+    return run_many(recordings, args, settings) if recordings else run(args, settings)
 
 
 def _simulate(args: argparse.Namespace) -> int:

@@ -14,11 +14,12 @@ SHIPPED = ROOT / "recordings" / "two_kinects"
 
 @pytest.fixture
 def folder(tmp_path):
-    """Two copies of the shipped recording's first pair's files, one of them without its images."""
+    """Two copies of the shipped recording and its rig, one of them without images."""
+    shutil.copytree(ROOT / "calibration", tmp_path / "calibration")
     many = tmp_path / "many"
     shutil.copytree(SHIPPED, many / "whole")
     shutil.copytree(SHIPPED, many / "broken")
-    for image in (many / "broken").rglob("*.png"):
+    for image in [*(many / "broken").rglob("*.png"), *(many / "broken").rglob("*.jpg")]:
         image.unlink()
     (many / "notes").mkdir()
     return many
@@ -36,6 +37,8 @@ def test_each_recording_gets_its_own_report(folder, tmp_path, capsys):
     shown = capsys.readouterr().out
     whole = json.loads((output / "whole" / "report.json").read_text())
     assert [pair["status"] for pair in whole["pairs"]] == ["ok", "ok", "ok"]
+    broken = json.loads((output / "broken" / "report.json").read_text())
+    assert [pair["status"] for pair in broken["pairs"]] == ["failed"] * 3
     assert "whole" in shown and "broken" in shown
 
 

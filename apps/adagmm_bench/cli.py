@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from adagmm_bench.commands import ablation, kinect, methods_list, recordings, replay, simulations, speed
+from adagmm_bench.commands import ablation, gpu, kinect, methods_list, recordings, replay, simulations, speed
 from adagmm_o3d.errors import AdaGMMError
 
 INTERRUPTED = 130
@@ -46,6 +46,7 @@ def build_parser() -> argparse.ArgumentParser:
         ablation.add_arguments,
         ablation.run,
     )
+    add("gpu", "the CUDA kernels on this machine's card: right, and how fast", gpu.add_arguments, gpu.run)
     add("replay", "one trial again, alone, printed and shown in Rerun", replay.add_arguments, replay.run)
     add("methods", "the methods, their settings, and which can run here", methods_list.add_arguments, methods_list.run)
     return parser

@@ -122,19 +122,9 @@ class CudaPairLoop:
 
     def sums(self, pose: Array, source_sigma: float, target_sigma: float) -> CudaPairSums:
         """As `PairLoop.sums`."""
-        source, target, amplitudes = self._precisions
-        source_sigma, target_sigma = np.float32(source_sigma), np.float32(target_sigma)
-        self._move(pose, np.float32(1.0) / source_sigma, False, source)
-        self._kernels.adaptive_rows[(self._source_tiles, self._row_shares), TILE](
-            self._moved,
-            self._moved_boxes,
-            source_sigma,
-            target,
-            self._target_boxes,
-            target_sigma,
-            np.float32(1.0) / target_sigma,
-            self._rows,
-        )
+        source, _, amplitudes = self._precisions
+        self._move(pose, np.float32(1.0 / source_sigma), False, source)
+        self.launch_adaptive_rows(source_sigma, target_sigma)
         weights = self._row_turn.take()
         self._kernels.reduce_adaptive[self._source_tiles, TILE](
             self._moved, self._rows, amplitudes, weights.buffers[0], self._row_partials
@@ -150,13 +140,10 @@ class CudaPairLoop:
         mutuality: float = 0.0,
     ) -> tuple[CudaPosteriorSums, Held]:
         """As `PairLoop.posterior_sums`; the column densities are on the device, and `numpy.asarray` reads them."""
-        source, target, source_weights, target_weights = self._covariances
-        scale = np.float32(sigma)
+        source, _, source_weights, target_weights = self._covariances
         unit = LOG2_SCALE ** (1.0 if self._flat else 1.5)  # |Σ|^(-1/2) in powers of two
-        self._move(pose, scale, self._flat, source)
-        self._kernels.convolved_columns[(self._target_tiles, self._column_shares), TILE](
-            target, self._target_boxes, scale, self._flat, self._moved, self._moved_boxes, self._column_parts
-        )
+        self._move(pose, np.float32(sigma), self._flat, source)
+        self.launch_convolved_columns(sigma)
         columns = self._column_turn.take()
         densities, densities32 = columns.buffers
         reductions.reduce_columns[self._target_tiles, TILE](
@@ -168,18 +155,8 @@ class CudaPairLoop:
             densities32,
             self._column_partials,
         )
-        self._kernels.convolved_rows[(self._source_tiles, self._row_shares), TILE](
-            self._moved,
-            self._moved_boxes,
-            target,
-            self._target_boxes,
-            scale,
-            self._flat,
-            self._old_columns(column_densities, densities32, mutuality),
-            np.float32(uniform),
-            np.float32(mutuality),
-            self._rows,
-        )
+        old_densities32 = self._old_columns(column_densities, densities32, mutuality)
+        self.launch_convolved_rows(sigma, uniform, mutuality, old_densities32)
         posteriors = self._row_turn.take()
         reductions.reduce_convolved[self._source_tiles, TILE](
             self._moved,
@@ -203,6 +180,46 @@ class CudaPairLoop:
         reductions.reduce_nearest[self._source_tiles, TILE](self._nearest_parts, self._nearest)
         distances = self._nearest.copy_to_host()[: len(self._source.order)]
         return self._source.restore(distances.astype(np.float64))
+
+    def launch_adaptive_rows(self, source_sigma: float, target_sigma: float) -> None:
+        """The pairs of `sums` with the source where the last pass has moved it."""
+        self._kernels.adaptive_rows[(self._source_tiles, self._row_shares), TILE](
+            self._moved,
+            self._moved_boxes,
+            np.float32(source_sigma),
+            self._precisions[1],
+            self._target_boxes,
+            np.float32(target_sigma),
+            np.float32(1.0 / target_sigma),
+            self._rows,
+        )
+
+    def launch_convolved_rows(self, sigma: float, uniform: float, mutuality: float, densities32: Any) -> None:
+        """The pairs of `posterior_sums`, seen from the source, with the source where the last pass has moved it."""
+        self._kernels.convolved_rows[(self._source_tiles, self._row_shares), TILE](
+            self._moved,
+            self._moved_boxes,
+            self._covariances[1],
+            self._target_boxes,
+            np.float32(sigma),
+            self._flat,
+            densities32,
+            np.float32(uniform),
+            np.float32(mutuality),
+            self._rows,
+        )
+
+    def launch_convolved_columns(self, sigma: float) -> None:
+        """The same pairs, seen from the target."""
+        self._kernels.convolved_columns[(self._target_tiles, self._column_shares), TILE](
+            self._covariances[1],
+            self._target_boxes,
+            np.float32(sigma),
+            self._flat,
+            self._moved,
+            self._moved_boxes,
+            self._column_parts,
+        )
 
     def work_arrays(self) -> list[Any]:
         """Every array on the device that a pass fills before it reads it; a check may spoil them beforehand."""

@@ -1,0 +1,119 @@
+"""`gpu`: are the CUDA kernels right on this machine's card, and how fast; exit code 1 without a card or if they err."""
+
+from __future__ import annotations
+
+import argparse
+import secrets
+import shutil
+import subprocess
+import sys
+
+from adagmm_bench.commands.options import add_output
+from adagmm_bench.gpu.card import Card, current_card
+from adagmm_bench.gpu.checks import TOLERANCE, Check, run_checks
+from adagmm_bench.gpu.operations import PAIR_OPERATIONS
+from adagmm_bench.gpu.rates import POINTS, Rate, pair_rates
+from adagmm_bench.gpu.registrations import SIZES, Timing, crossing_point, registration_timings
+from adagmm_bench.report import command_line, machine_note, markdown_table, print_table
+from adagmm_fusion.atomic_file import write_text
+from adagmm_o3d.errors import DeviceError, InputError
+from adagmm_o3d.kernels.backend import CROSSING_PAIRS
+from adagmm_o3d.kernels.cuda.availability import obstacle, simulated
+
+PAPER_SECONDS = 10.0  # a 3D trial of the paper, on its GTX 1080
+SANITIZER_TOOLS = ("memcheck", "racecheck", "synccheck", "initcheck")
+RATE_COLUMNS = ("kernel", "operations a pair", "pairs/s (billions)", "TFLOP/s", "share of peak")
+TIME_COLUMNS = ("points", "GPU (s)", "CPU (s)", "CPU / GPU", "paper's 10 s / GPU", "error GPU (deg)", "error CPU (deg)")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seed", type=int, help="of the random clouds of the checks (default: a fresh one, printed)")
+    parser.add_argument("--repeats", type=int, default=5, help="of each registration (default %(default)s)")
+    add_output(parser, "gpu")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    if arguments.repeats < 1:
+        raise InputError(f"repeats: expected 1 or more, got {arguments.repeats}")
+    if (reason := "this is the CUDA simulator" if simulated() else obstacle()) is not None:
+        raise DeviceError(f"gpu: there is nothing to measure: {reason}")
+    card = current_card()
+    print(card)
+    seed = secrets.randbelow(2**32) if arguments.seed is None else arguments.seed
+    checks = list(run_checks(seed))
+    failed = [check for check in checks if not check.passed]
+    sanitizer, clean = sanitize()
+    verdict = describe(checks, failed, seed, sanitizer)
+    print(verdict)
+    if failed or not clean:
+        return 1
+    rates = rate_rows(pair_rates(), card)
+    timings = time_rows(registration_timings(SIZES, arguments.repeats))
+    crossing = crossing_point(arguments.repeats)
+    beyond = "not up to the largest size tried" if crossing is None else f"from {crossing} pairs on"
+    crossing_line = f"A pass is faster on the GPU {beyond}; 'auto' takes it from {CROSSING_PAIRS} on."
+    rate_title = f"Pair kernels, {POINTS} x {POINTS} points in space, every pair evaluated"
+    time_title = "Whole registrations, default options"
+    print_table(rate_title, RATE_COLUMNS, rates)
+    print_table(time_title, TIME_COLUMNS, timings)
+    print(crossing_line)
+    report = (
+        f"# {card.name}\n\n{card}\n\n{machine_note()}\n\n`{command_line()}`\n\n{verdict}\n\n"
+        f"## {rate_title}\n\n{markdown_table(RATE_COLUMNS, rates)}\n"
+        f"## {time_title}\n\n{markdown_table(TIME_COLUMNS, timings)}\n{crossing_line}\n"
+    )
+    write_text(arguments.output / "report.md", report)
+    print(f"written to {arguments.output / 'report.md'}")
+    return 0
+
+
+def sanitize() -> tuple[str, bool]:
+    """What compute-sanitizer says of the checks, and whether it found nothing; it need not be installed."""
+    program = shutil.which("compute-sanitizer")
+    if program is None:
+        return "compute-sanitizer is not on PATH: not run", True
+    for tool in SANITIZER_TOOLS:
+        command = [program, "--tool", tool, "--error-exitcode", "9", sys.executable, "-m", "adagmm_bench.gpu.checks"]
+        done = subprocess.run(command, capture_output=True, text=True)
+        if done.returncode:
+            lines = (done.stdout + done.stderr).strip().splitlines()
+            return f"compute-sanitizer {tool} failed: {' / '.join(lines[-5:])}", False
+    return f"compute-sanitizer ({', '.join(SANITIZER_TOOLS)}) found nothing", True
+
+
+def describe(checks: list[Check], failed: list[Check], seed: int, sanitizer: str) -> str:
+    worst = max(checks, key=lambda check: (not check.passed, check.error))
+    lines = [
+        f"{len(checks) - len(failed)} of {len(checks)} checks against float64 within {TOLERANCE:g} (seed {seed}); "
+        f"the largest error is {worst.error:.2g}, {worst.what}.",
+        f"{sanitizer[0].upper()}{sanitizer[1:]}.",
+    ]
+    return "\n".join([*lines, *(f"failed: {check.what}: {check.error:.2g}" for check in failed)])
+
+
+def rate_rows(rates: list[Rate], card: Card) -> list[tuple[str, ...]]:
+    return [
+        (
+            rate.kernel,
+            str(PAIR_OPERATIONS[rate.kernel]),
+            f"{rate.pairs / 1e9:.1f}",
+            f"{rate.operations / 1e12:.2f}",
+            "unknown" if card.peak is None else f"{100 * rate.operations / card.peak:.0f} %",
+        )
+        for rate in rates
+    ]
+
+
+def time_rows(timings: list[Timing]) -> list[tuple[str, ...]]:
+    return [
+        (
+            str(timing.points),
+            f"{timing.seconds['cuda']:.3g}",
+            f"{timing.seconds['cpu']:.3g}",
+            f"{timing.seconds['cpu'] / timing.seconds['cuda']:.1f}",
+            f"{PAPER_SECONDS / timing.seconds['cuda']:.0f}",
+            f"{timing.errors_deg['cuda']:.3f}",
+            f"{timing.errors_deg['cpu']:.3f}",
+        )
+        for timing in timings
+    ]

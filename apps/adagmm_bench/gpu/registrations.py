@@ -1,0 +1,83 @@
+"""Whole registrations on the GPU and on the CPU, and from which size on a pass over all pairs is faster on the GPU."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from adagmm_bench.speed.large import surface_pair
+from adagmm_o3d import register_points
+from adagmm_o3d.evaluation import rotation_error_deg
+from adagmm_o3d.kernels.pair_loop import PairLoop
+from adagmm_o3d.mixture import make_mixture, normalise
+
+SIZES = (1_000, 4_000, 30_000, 300_000)
+CROSSING_SIZES = (250, 500, 1_000, 2_000, 4_000, 8_000)
+CROSSING_SIGMA, CROSSING_UNIFORM = 0.05, 0.1
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Median seconds of a registration of `points` with as many, and its rotation error, on each device."""
+
+    points: int
+    seconds: dict[str, float]
+    errors_deg: dict[str, float]
+
+
+def registration_timings(sizes: tuple[int, ...], repeats: int) -> list[Timing]:
+    """Two samples of a surface, turned by 8 degrees, from the identity, with default options; compiled beforehand."""
+    timings = []
+    for points in sizes:
+        problem = surface_pair(points)
+        seconds, errors_deg = {}, {}
+        for device in ("cuda", "cpu"):
+
+            def register(problem=problem, device=device):
+                source, target = problem.source, problem.target
+                return register_points(source.points, target.points, device=device).transformation
+
+            T = register()
+            errors_deg[device] = float(rotation_error_deg(problem.T_target_source, T))
+            seconds[device] = _median_seconds(register, repeats)
+        timings.append(Timing(points, seconds, errors_deg))
+    return timings
+
+
+def crossing_point(repeats: int) -> int | None:
+    """The least number of pairs among CROSSING_SIZES, squared, from which on the GPU's pass is the faster one."""
+    from adagmm_o3d.kernels.cuda.pair_loop import CudaPairLoop
+
+    crossing = None
+    for points in CROSSING_SIZES:
+        problem = surface_pair(points)
+        clouds = (
+            make_mixture("source", problem.source.points, None),
+            make_mixture("target", problem.target.points, None),
+        )
+        source, target, _ = normalise(*clouds)
+        seconds = []
+        for loop in (PairLoop(source, target), CudaPairLoop(source, target)):
+
+            def run(loop=loop):
+                return loop.posterior_sums(np.eye(4), CROSSING_SIGMA, CROSSING_UNIFORM)[0].energy
+
+            run()
+            seconds.append(_median_seconds(run, 5 * repeats))
+        if seconds[1] >= seconds[0]:
+            crossing = None
+        elif crossing is None:
+            crossing = points**2
+    return crossing
+
+
+def _median_seconds(run: Callable[[], object], repeats: int) -> float:
+    seconds = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        run()
+        seconds.append(time.perf_counter() - begin)
+    return float(np.median(seconds))

@@ -1,0 +1,79 @@
+"""The operations that `adagmm-bench gpu` says a pair takes are those that the kernels do."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from adagmm_bench.gpu.operations import PAIR_OPERATIONS
+from adagmm_o3d.kernels.cuda import adaptive_rows, convolved_columns, convolved_rows
+
+
+class Counted:
+    """A number that counts what is done with it."""
+
+    count = 0
+
+    def __init__(self, value):
+        self.value = float(value)
+
+    @staticmethod
+    def _operation(function):
+        def operate(self, *others):
+            Counted.count += 1
+            return Counted(function(self.value, *(float(getattr(o, "value", o)) for o in others)))
+
+        return operate
+
+    __add__ = _operation(lambda a, b: a + b)
+    __radd__ = _operation(lambda a, b: b + a)
+    __sub__ = _operation(lambda a, b: a - b)
+    __mul__ = _operation(lambda a, b: a * b)
+    __truediv__ = _operation(lambda a, b: a / b)
+    __rtruediv__ = _operation(lambda a, b: b / a)
+    sqrt = _operation(math.sqrt)
+    exp2 = _operation(math.exp2)
+
+    def __neg__(self):  # a flag of the operation that follows
+        return Counted(-self.value)
+
+
+COUNTED_MATH = SimpleNamespace(sqrt=Counted.sqrt, exp2=Counted.exp2)
+MATRIX = [Counted(v) for v in (2.0, 0.1, 0.2, 1.5, 0.3, 1.0)]
+Y = [Counted(v) for v in (0.1, 0.2, 0.3)]
+ROWS = {
+    "adaptive": (adaptive_rows, "pair_anisotropic", adaptive_rows.ROWS, MATRIX),
+    "adaptive isotropic": (adaptive_rows, "pair_isotropic", adaptive_rows.ROWS, MATRIX[:1]),
+    "convolved": (convolved_rows, "pair_anisotropic", convolved_rows.ROWS, MATRIX),
+    "convolved isotropic": (convolved_rows, "pair_isotropic", convolved_rows.ROWS, [MATRIX[0], False]),
+}
+COLUMNS = {
+    "columns": ("density_anisotropic", MATRIX),
+    "columns isotropic": ("density_isotropic", [MATRIX[0], False]),
+}
+
+
+@pytest.fixture
+def tile():
+    entries = [0.5, 0.4, 0.3, 1.0, 2.0, 0.1, 0.2, 1.5, 0.3, 1.0, 0.7]
+    return np.array([[Counted(v) for v in entries]])
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_operations_of_the_row_kernels(name, tile, monkeypatch):
+    module, function, sums, matrix = ROWS[name]
+    monkeypatch.setattr(module, "math", COUNTED_MATH)
+    Counted.count = 0
+    getattr(module, function)(tile, 0, *Y, *matrix, tuple(Counted(0.0) for _ in range(sums)))
+    assert Counted.count == PAIR_OPERATIONS[name]
+
+
+@pytest.mark.parametrize("name", COLUMNS)
+def test_operations_of_the_column_kernels(name, tile, monkeypatch):
+    function, matrix = COLUMNS[name]
+    monkeypatch.setattr(convolved_columns, "math", COUNTED_MATH)
+    Counted.count = 0
+    total = Counted(0.0) + getattr(convolved_columns, function)(tile, 0, *Y, *matrix)
+    assert total.value > 0.0
+    assert Counted.count == PAIR_OPERATIONS[name]

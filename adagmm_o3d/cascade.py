@@ -19,6 +19,7 @@ from .em import Criteria, Outcome, expectation_maximisation
 from .expectation import SIGMA_FLOOR, PosteriorExpectation
 from .kernels.pair_loop import PairLoop
 from .mixture import Mixture
+from .pose_covariance import Fit
 from .start_search import End, Limits, Start, distinct, pose_distance, run_starts
 from .trace import Iteration
 
@@ -98,8 +99,8 @@ class Cascade:
         mutuality: float,
         relaxation: float,
         observe: Callable[[Iteration], None] | None,
-    ) -> Outcome:
-        """The end carried to convergence on all points."""
+    ) -> tuple[Outcome, Fit]:
+        """The end carried to convergence on all points, and the mixtures' parameters there."""
         dimension = self.source.dimension
         expectation = PosteriorExpectation(
             pairs, dimension, end.sigma, unmatched=end.unmatched, mutuality=mutuality, volume=self.volume
@@ -107,7 +108,8 @@ class Cascade:
         outcome = expectation_maximisation(
             expectation, end.pose, criteria, dimension, relaxation=relaxation, level=3, observe=observe
         )
-        return replace(outcome, iterations=end.iterations + outcome.iterations)
+        fit = Fit(outcome.pose, expectation.scale.target, expectation.unmatched, self.volume, mutuality)
+        return replace(outcome, iterations=end.iterations + outcome.iterations), fit
 
     def run_deciding(self, starts: list[Start]) -> list[End]:
         """Run starts on the deciding level right away."""

@@ -9,6 +9,7 @@ from .em import Outcome
 from .expectation import uniform_density
 from .kernels.pair_loop import PairLoop
 from .mixture import Mixture, Normalisation
+from .pose_covariance import PoseUncertainty, covariance_out
 from .result import PointRegistrationResult, StopReason
 
 # The share of points without a partner that is taken for granted when a point is asked whether it has one.
@@ -29,6 +30,7 @@ def conclude(
     *,
     volume: float,
     ambiguous: bool,
+    uncertainty: PoseUncertainty | None,
 ) -> PointRegistrationResult:
     """The result of normalised mixtures in input units.
 
@@ -40,6 +42,10 @@ def conclude(
     poses = lower(normalisation.pose_out(poses), dimension)
     row_weights, overlap = np.zeros(len(source.kept)), 0.0
     pose_covariance, unobservable = None, ()
+    if uncertainty is not None:
+        unobservable = uncertainty.unobservable
+        if uncertainty.covariance is not None:
+            pose_covariance = covariance_out(uncertainty.covariance, normalisation)
     if outcome.sums is not None:
         uniform = uniform_density(JUDGED_UNMATCHED, dimension, volume)
         posterior, _ = pairs.posterior_sums(outcome.pose, outcome.iterations[-1].sigma, uniform)
@@ -72,7 +78,9 @@ def _warnings(outcome: Outcome, overlap: float, ambiguous: bool, free: int) -> t
         deviation = np.sqrt(outcome.iterations[-1].sigma)
         warnings.append(f"residuals of {deviation:.0%} of the clouds' radius remain: heavy noise or a wrong pose")
     if free:
-        warnings.append(f"the points leave {free} direction{'s' if free > 1 else ''} of the pose free")
+        warnings.append(
+            f"the shape leaves {free} direction{'s' if free > 1 else ''} of the pose free"
+        )
     if ambiguous:
         warnings.append("another pose explains the clouds as well: a symmetric shape")
     return tuple(warnings)

@@ -23,6 +23,7 @@ from .kernels.backend import check_device, make_pair_loop
 from .lie import project_to_rotation, split
 from .mixture import Mixture, Normalisation, make_mixture, normalise
 from .options import TransformationEstimationForAdaptiveGMM
+from .pose_covariance import pose_uncertainty
 from .result import PointRegistrationResult
 from .settings import check_callback, check_criteria, check_estimation_method
 from .sigma_rules import Annealed, FigureTwo, NearestDistance, SigmaRule
@@ -97,7 +98,7 @@ def register_points(
         raise InputError(f"init: expected a pose or 'global', got {init!r}")
     everywhere = isinstance(init, str)
     given = None if init is None or everywhere else _start_pose(init, normalisation, dimension)
-    ambiguous = False
+    ambiguous, uncertainty = False, None
     if method.sigma_rule == "posterior":
         cascade, ends = _find(moving, fixed, method, given, everywhere, normalisation)
         best, ambiguous = ends[0], everywhere and is_ambiguous(ends)
@@ -105,7 +106,7 @@ def register_points(
             for iteration in best.iterations:
                 observe(iteration)
         start, volume, pairs = best.start, cascade.volume, make_pair_loop(moving, fixed, device)
-        outcome = cascade.refine(
+        outcome, fit = cascade.refine(
             pairs,
             best,
             limits,
@@ -113,6 +114,7 @@ def register_points(
             relaxation=method.relaxation,
             observe=observe,
         )
+        uncertainty = pose_uncertainty(pairs, moving, fixed, fit) if method.uncertainty and outcome.sums else None
     else:
         if everywhere:
             raise InputError(f"init: 'global' needs sigma_rule 'posterior', got {method.sigma_rule!r}")
@@ -124,7 +126,17 @@ def register_points(
         outcome = expectation_maximisation(
             expectation, start, limits, dimension, relaxation=method.relaxation, observe=observe
         )
-    return conclude(start, outcome, normalisation, moving, fixed, pairs, volume=volume, ambiguous=ambiguous)
+    return conclude(
+        start,
+        outcome,
+        normalisation,
+        moving,
+        fixed,
+        pairs,
+        volume=volume,
+        ambiguous=ambiguous,
+        uncertainty=uncertainty,
+    )
 
 
 def _find(

@@ -32,7 +32,9 @@ class PointRegistrationResult:
     overlap : estimated share of the source's points that have a partner in the target, 0 to 1.
     row_weights : (M,) probability of each source point to have a partner; 0 where it was dropped.
     dropped_source, dropped_target : points ignored because their covariance is not finite.
-    pose_covariance : (6, 6), in 2D (3, 3), of δ = (ω, v) in exp(δ)·T [rad, input units], or None where it is unbounded.
+    pose_covariance : (6, 6), in 2D (3, 3), of δ = (ω, v) in exp(δ)·T [rad, input units]; see `pose_covariance`. A free
+        direction has a standard deviation of one radius. None where it was not asked for or no pair has any weight.
+        Its inverse is the information matrix of a pose graph's edge.
     unobservable : unit tangent directions (ω, v), in normalised coordinates (about the target's centroid, lengths in
         radii of the clouds), that the points leave free.
     ambiguous : another, clearly different pose explains the clouds as well. Only a global search can tell.

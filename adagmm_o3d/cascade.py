@@ -17,8 +17,8 @@ from .arguments import Array
 from .coarse import MergedMixture, merge, sample
 from .em import Criteria, Outcome, expectation_maximisation
 from .expectation import SIGMA_FLOOR, PosteriorExpectation
-from .kernels.pair_loop import PairLoop
 from .mixture import Mixture
+from .pairs import Pairs
 from .pose_covariance import Fit
 from .start_search import End, Limits, Start, distinct, pose_distance, run_starts
 from .trace import Iteration
@@ -92,7 +92,7 @@ class Cascade:
 
     def refine(
         self,
-        pairs: PairLoop,
+        pairs: Pairs,
         end: End,
         criteria: Criteria,
         *,

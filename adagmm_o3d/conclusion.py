@@ -7,8 +7,8 @@ import numpy as np
 from .arguments import Array
 from .em import Outcome
 from .expectation import uniform_density
-from .kernels.pair_loop import PairLoop
 from .mixture import Mixture, Normalisation
+from .pairs import Pairs
 from .pose_covariance import PoseUncertainty, covariance_out
 from .result import PointRegistrationResult, StopReason
 
@@ -26,7 +26,7 @@ def conclude(
     normalisation: Normalisation,
     source: Mixture,
     target: Mixture,
-    pairs: PairLoop,
+    pairs: Pairs,
     *,
     volume: float,
     ambiguous: bool,
@@ -41,7 +41,8 @@ def conclude(
     poses = np.array([start, *(i.pose for i in outcome.iterations)])
     poses = lower(normalisation.pose_out(poses), dimension)
     row_weights, overlap = np.zeros(len(source.kept)), 0.0
-    pose_covariance, unobservable = None, ()
+    pose_covariance: Array | None = None
+    unobservable: tuple[Array, ...] = ()
     if uncertainty is not None:
         unobservable = uncertainty.unobservable
         if uncertainty.covariance is not None:
@@ -78,9 +79,7 @@ def _warnings(outcome: Outcome, overlap: float, ambiguous: bool, free: int) -> t
         deviation = np.sqrt(outcome.iterations[-1].sigma)
         warnings.append(f"residuals of {deviation:.0%} of the clouds' radius remain: heavy noise or a wrong pose")
     if free:
-        warnings.append(
-            f"the shape leaves {free} direction{'s' if free > 1 else ''} of the pose free"
-        )
+        warnings.append(f"the shape leaves {free} direction{'s' if free > 1 else ''} of the pose free")
     if ambiguous:
         warnings.append("another pose explains the clouds as well: a symmetric shape")
     return tuple(warnings)

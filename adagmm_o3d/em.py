@@ -53,7 +53,8 @@ def expectation_maximisation(
 
     `relaxation` lengthens every step; `observe` is called after each iteration.
     """
-    pose, iterations, sums = start, [], None
+    pose, sums = start, None
+    iterations: list[Iteration] = []
     for _ in range(criteria.max_iteration):
         # E-step: the weights of all pairs at the old pose, and their sums (Eq. 5).
         sigma = expectation.scale.source

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from typing import Any, Protocol
 
 from .arguments import Array
-from .kernels.pair_loop import PairLoop, PairSums, PosteriorSums
+from .kernels.pair_loop import PairSums, PosteriorSums
+from .pairs import Pairs
 from .sigma_rules import LEAST_SIGMA, Scale, SigmaRule
 
 # Points without a partner are spread evenly over a volume, in units of the radius to the power of the dimension: the
@@ -43,7 +44,7 @@ class Expectation(Protocol):
 class AdaptiveExpectation:
     """The paper's: C of Eq. 5 for every pair, σ by a rule on nearest distances."""
 
-    def __init__(self, pairs: PairLoop, rule: SigmaRule, start: Array) -> None:
+    def __init__(self, pairs: Pairs, rule: SigmaRule, start: Array) -> None:
         self._pairs, self._rule = pairs, rule
         self.scale = rule.first(pairs, start)
 
@@ -72,7 +73,7 @@ class PosteriorExpectation:
 
     def __init__(
         self,
-        pairs: PairLoop,
+        pairs: Pairs,
         dimension: int,
         sigma: float,
         *,
@@ -84,7 +85,7 @@ class PosteriorExpectation:
     ) -> None:
         self._pairs, self._dimension = pairs, dimension
         self._fastest, self._floor, self._mutuality, self._volume = fastest, floor, mutuality, volume
-        self._columns: Array | None = None
+        self._columns: Any = None
         self.scale = Scale(sigma, sigma)
         self.unmatched = unmatched
 

@@ -186,7 +186,11 @@ def _start_pose(init: ArrayLike, normalisation: Normalisation, dimension: int) -
 
 
 def _sigma_rule(method: TransformationEstimationForAdaptiveGMM, dimension: int) -> SigmaRule:
-    rules = {"annealed": Annealed(dimension), "nearest": NearestDistance(dimension), "figure2": FigureTwo()}
+    rules: dict[str, SigmaRule] = {
+        "annealed": Annealed(dimension),
+        "nearest": NearestDistance(dimension),
+        "figure2": FigureTwo(),
+    }
     return rules[method.sigma_rule]
 
 

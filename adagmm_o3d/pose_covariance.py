@@ -27,11 +27,11 @@ from .arguments import Array
 from .coarse import FLAGGED
 from .expectation import uniform_density
 from .kernels import score_sums as kernel
-from .kernels.pair_loop import PairLoop
 from .lie import hat
 from .m_step import FREE
 from .mixture import PACKED, Mixture, Normalisation
 from .observability import free_directions, generalised_eigen
+from .pairs import Pairs
 
 # Of large clouds only some points' scores are looked at, and their sums stand for those of all: as many as make this
 # many pairs with the other cloud, but no fewer than LEAST_SCORED. (The denser the clouds, the more does each tell.)
@@ -75,7 +75,7 @@ class PoseUncertainty:
     unobservable: tuple[Array, ...]
 
 
-def pose_uncertainty(pairs: PairLoop, source: Mixture, target: Mixture, fit: Fit) -> PoseUncertainty:
+def pose_uncertainty(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -> PoseUncertainty:
     """The uncertainty of a pose between normalised mixtures; `pairs` are theirs."""
     scores = score_moments(pairs, source, target, fit)
     if not np.trace(scores.curvature) > 0.0:
@@ -120,7 +120,7 @@ class ScoreMoments:
     matched: Array
 
 
-def score_moments(pairs: PairLoop, source: Mixture, target: Mixture, fit: Fit) -> ScoreMoments:
+def score_moments(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -> ScoreMoments:
     """The scores of the points of both clouds at a pose."""
     uniform = uniform_density(fit.unmatched, source.dimension, fit.volume)
     sums, column_densities = pairs.posterior_sums(fit.pose, fit.sigma, uniform)

@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from .arguments import Array
-from .kernels.pair_loop import PairLoop
+from .pairs import Pairs
 
 # Identical clouds have no distances; float32 coordinates mean nothing below this (a standard deviation of 3e-5).
 LEAST_SIGMA = 1e-9
@@ -28,10 +28,10 @@ class Scale(NamedTuple):
 class SigmaRule(Protocol):
     """One way to choose σ."""
 
-    def first(self, pairs: PairLoop, pose: Array) -> Scale:
+    def first(self, pairs: Pairs, pose: Array) -> Scale:
         """The scale of the first iteration."""
 
-    def next(self, pairs: PairLoop, pose: Array, scale: Scale, settled: bool) -> Scale | None:
+    def next(self, pairs: Pairs, pose: Array, scale: Scale, settled: bool) -> Scale | None:
         """The scale after an iteration; `settled` when the pose has stopped moving at this one."""
 
 
@@ -40,10 +40,10 @@ class FigureTwo:
     """The paper's Figure 2 to the letter: σ is the mean distance from a source point to its nearest target point, and
     scales the source's covariances alone."""
 
-    def first(self, pairs: PairLoop, pose: Array) -> Scale:
+    def first(self, pairs: Pairs, pose: Array) -> Scale:
         return Scale(max(LEAST_SIGMA, float(np.sqrt(pairs.nearest_sq(pose)).mean())), 1.0)
 
-    def next(self, pairs: PairLoop, pose: Array, scale: Scale, settled: bool) -> Scale | None:
+    def next(self, pairs: Pairs, pose: Array, scale: Scale, settled: bool) -> Scale | None:
         return None if settled else self.first(pairs, pose)
 
 
@@ -54,11 +54,11 @@ class NearestDistance:
 
     dimension: int
 
-    def first(self, pairs: PairLoop, pose: Array) -> Scale:
+    def first(self, pairs: Pairs, pose: Array) -> Scale:
         sigma = max(LEAST_SIGMA, float(pairs.nearest_sq(pose).mean()) / self.dimension)
         return Scale(sigma, sigma)
 
-    def next(self, pairs: PairLoop, pose: Array, scale: Scale, settled: bool) -> Scale | None:
+    def next(self, pairs: Pairs, pose: Array, scale: Scale, settled: bool) -> Scale | None:
         return None if settled else self.first(pairs, pose)
 
 
@@ -73,10 +73,10 @@ class Annealed:
     patience: int = 4
     _waited: int | None = None
 
-    def first(self, pairs: PairLoop, pose: Array) -> Scale:
+    def first(self, pairs: Pairs, pose: Array) -> Scale:
         return NearestDistance(self.dimension).first(pairs, pose)
 
-    def next(self, pairs: PairLoop, pose: Array, scale: Scale, settled: bool) -> Scale | None:
+    def next(self, pairs: Pairs, pose: Array, scale: Scale, settled: bool) -> Scale | None:
         if self._waited is None:
             if not settled:
                 return self.first(pairs, pose)

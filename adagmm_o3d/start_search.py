@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .arguments import Array
 from .coarse import MergedMixture
@@ -135,11 +136,11 @@ def pose_distance(a: Array, b: Array) -> float:
     return float(np.linalg.norm(a[:3, :3] - b[:3, :3]) + np.linalg.norm(a[:3, 3] - b[:3, 3]))
 
 
-def _packed(mixture: MergedMixture) -> tuple[Array, ...]:
+def _packed(mixture: MergedMixture) -> tuple[NDArray[np.float32], ...]:
     """Points, covariances, spreads and weights as the kernel wants them, in powers of two."""
 
-    def symmetric(matrices: Array) -> Array:
-        packed = np.stack([matrices[:, i, j] for i, j in PACKED]).astype(np.float32) / np.float32(LOG2_SCALE)
+    def symmetric(matrices: Array) -> NDArray[np.float32]:
+        packed = (np.stack([matrices[:, i, j] for i, j in PACKED]) / LOG2_SCALE).astype(np.float32)
         if mixture.dimension == 2:
             packed[5] = 0.0
         return packed

@@ -29,8 +29,9 @@ def make_tiles(points: Float32, variances: Float32, bits: Float32) -> Tiles:
     """The tiles of (3, n) ordered points, largest principal variance and bits of each; see `culling.reach_sq`."""
     lo, hi = _reduce(np.minimum, points, TILE), _reduce(np.maximum, points, TILE)
     reach = _reduce(np.maximum, np.stack([variances, bits]), TILE)
+    group_lo, group_hi = _reduce(np.minimum, lo, GROUP), _reduce(np.maximum, hi, GROUP)
     group_reach = _reduce(np.maximum, reach, GROUP)
-    return Tiles(lo, hi, *reach, _reduce(np.minimum, lo, GROUP), _reduce(np.maximum, hi, GROUP), *group_reach)
+    return Tiles(lo, hi, reach[0], reach[1], group_lo, group_hi, group_reach[0], group_reach[1])
 
 
 def _reduce(ufunc: np.ufunc, values: Float32, size: int) -> Float32:

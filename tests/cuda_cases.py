@@ -46,7 +46,10 @@ class Case:
         self.y = reference.move(self.source, self.R, self.t)
         self.B = np.linalg.inv(sigmas[0] * reference.turn(self.source_covariances, self.R))
         self.A = np.linalg.inv(sigmas[1] * self.target_covariances)
-        self.mixtures = (
+        self.mixtures = self.mixtures_of_the_clouds()
+
+    def mixtures_of_the_clouds(self):
+        return (
             make_mixture("source", self.source, self.source_covariances),
             make_mixture("target", self.target, self.target_covariances),
         )

@@ -22,9 +22,9 @@ from adagmm_o3d.sigma_rules import NearestDistance
 
 SHAPES = [("2D", 2, True), ("2D anisotropic", 2, False), ("3D", 3, True), ("3D anisotropic", 3, False)]
 shapes = pytest.mark.parametrize(("dimension", "isotropic"), [s[1:] for s in SHAPES], ids=[s[0] for s in SHAPES])
-# Below, at and above a tile; more tiles than are summed in float32 at a time; more tiles than a block tests at a time.
+# Below, at and above a tile; more tiles than are summed in float32 at a time; more than a block tests at a time.
 SIZES = [(3, TILE - 1), (TILE, TILE), (TILE + 1, 2 * TILE + 1), (2 * TILE - 1, (adaptive_rows.FLUSH + 1) * TILE + 3)]
-SIZES += [(3, TILE * TILE + 1)]
+SIZES += [(3, TILE * TILE + 1), (TILE * TILE + 1, 3)]
 sizes = pytest.mark.parametrize(("m", "n"), SIZES)
 
 
@@ -50,6 +50,19 @@ def test_posterior_sums_match_the_naive_reference(dimension, isotropic, m, n, mu
 @sizes
 def test_nearest_distances_match_the_naive_reference(dimension, isotropic, m, n):
     check_nearest(Case(m + n, m, n, dimension, isotropic))
+
+
+def test_every_source_point_looks_as_far_as_it_has_to():
+    # One block of source points, each amid a tile of target points of its own; the first sits on one of them.
+    case = Case(2, TILE, TILE * TILE, 3, isotropic=True, apart=1.0)
+    case.source[:] = 0.0
+    case.source[:, 0] = 10.0 * np.arange(TILE)
+    case.target[:] = np.repeat(case.source, TILE, axis=0) + 0.1 * np.random.default_rng(0).normal(size=(TILE * TILE, 3))
+    case.target[0] = case.source[0]
+    case.source[:, 1] += 1e-3 * np.arange(TILE) ** 2  # not on one line
+    case.mixtures = case.mixtures_of_the_clouds()
+    case.y = case.source
+    check_nearest(case)
 
 
 @shapes

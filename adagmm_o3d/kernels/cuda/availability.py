@@ -7,22 +7,25 @@ from functools import cache
 
 from numba.core import config
 
+# What the kernels are tested to compile for, from here on.
+LEAST_CAPABILITY = (7, 5)
 INSTALL = "pip install 'adagmm-o3d[cuda]'"
 
 
 @cache
 def obstacle() -> str | None:
     """What keeps the CUDA kernels from running here, as one line; None where they can run."""
+    if simulated():
+        return None
     if (missing := missing_front_end()) is not None:
         return missing
     from numba import cuda
 
     if not cuda.is_available():
         return "no CUDA GPU or no driver for it was found"
-    least = (7, 5)
-    capability = cuda.get_current_device().compute_capability
-    if not simulated() and capability < least:
-        found, wanted = (".".join(map(str, version)) for version in (capability, least))
+    capability = tuple(cuda.get_current_device().compute_capability)
+    if capability < LEAST_CAPABILITY:
+        found, wanted = (".".join(map(str, version)) for version in (capability, LEAST_CAPABILITY))
         return f"the GPU has compute capability {found}, at least {wanted} is needed"
     return None
 
@@ -53,7 +56,8 @@ def simulated() -> bool:
 
 def device_name() -> str:
     """The name of the GPU in use; only where there is no `obstacle`."""
+    if simulated():
+        return "CUDA simulator"
     from numba import cuda
 
-    name = getattr(cuda.get_current_device(), "name", "CUDA simulator")
-    return name.decode() if isinstance(name, bytes) else str(name)
+    return str(cuda.get_current_device().name)

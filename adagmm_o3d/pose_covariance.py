@@ -132,10 +132,12 @@ def score_moments(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -> S
     moved = _side(source, fit, fit.pose, source_weights * source_rest ** (1.0 - fit.mutuality), axis)
     still = _side(target, fit, np.eye(4), target_weights * target_rest**fit.mutuality, axis)
     curvature, by_points, by_pairs = np.zeros((3, 6, 6))
-    for own, other, rest, shares, exponent in (
+    sides = (
         (moved, still, source_rest, target_weights, 1.0 - fit.mutuality),
         (still, moved, target_rest, source_weights, fit.mutuality),
-    ):
+    )
+    # A cloud of nothing but flagged outliers has no scores.
+    for own, other, rest, shares, exponent in sides if len(moved.index) and len(still.index) else ():
         chosen, growth = _chosen(own, other)
         rows = _score_sums(own.take(chosen), other, shares, own is moved, source.dimension == 2, axis)
         score = rows[:, kernel.SCORE : kernel.SENSITIVITY]

@@ -24,7 +24,7 @@ _log = logging.getLogger("adagmm_o3d")
 
 def check_device(device: str) -> None:
     """Raise DeviceError unless `device` is one of DEVICES and can be used here."""
-    if device not in DEVICES:
+    if not isinstance(device, str) or device not in DEVICES:
         raise DeviceError(f"device: expected one of {', '.join(map(repr, DEVICES))}, got {device!r}")
     if device == "cuda" and (reason := obstacle()) is not None:
         raise DeviceError(f"device: 'cuda' cannot be used here: {reason}")

@@ -1,0 +1,116 @@
+"""Frames at known poses fused into one coloured mesh, through a truncated signed distance in a sparse voxel grid."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import open3d as o3d
+
+from adagmm_fusion.atomic_file import replacing
+from adagmm_fusion.depth_geometry import depth_edges, depth_in_range
+from adagmm_fusion.errors import OutputError
+from adagmm_fusion.frames import PinholeIntrinsics, RGBDFrame, inverse_rigid
+from adagmm_fusion.sequence.glb_file import glb_bytes
+from adagmm_o3d.errors import InputError
+
+BLOCK_RESOLUTION = 8  # voxels a side
+BYTES_PER_VOXEL = 4 + 4 + 3 * 4
+TRUNCATION_VOXELS = 8.0
+# Islands of fewer triangles are noise, not surfaces.
+MIN_ISLAND_TRIANGLES = 200
+MESH_SUFFIXES = (".ply", ".glb")
+
+
+class TSDFVolume:
+    """The scene as fused so far. Its memory grows with the surface seen, not with the frames, up to a limit.
+
+    voxel_size_m : edge of a voxel.    max_depth_m : measurements farther away are ignored.
+    max_memory_mb : of the voxels.
+    """
+
+    def __init__(self, voxel_size_m: float, *, max_depth_m: float, max_memory_mb: float = 2000.0) -> None:
+        for name, value in (("voxel_size", voxel_size_m), ("max_memory", max_memory_mb)):
+            if not 0 < value < float("inf"):
+                raise InputError(f"{name}: expected a positive number, got {value}")
+        self.voxel_size_m, self.max_depth_m, self.max_memory_mb = voxel_size_m, max_depth_m, max_memory_mb
+        self.frames = 0
+        float32 = o3d.core.float32
+        self._grid = o3d.t.geometry.VoxelBlockGrid(
+            ("tsdf", "weight", "color"),
+            (float32, float32, float32),
+            ((1), (1), (3)),
+            voxel_size_m,
+            BLOCK_RESOLUTION,
+            1000,
+        )
+
+    @property
+    def memory_mb(self) -> float:
+        return self._grid.hashmap().size() * BLOCK_RESOLUTION**3 * BYTES_PER_VOXEL / 1e6
+
+    def integrate(self, frame: RGBDFrame, T_world_camera: np.ndarray) -> None:
+        """Add a frame; depth at edges is left out, lens distortion is undone.
+
+        Raises
+        ------
+        InputError  if the voxels would need more memory than allowed.
+        """
+        depth, color = _undistorted(frame, self.max_depth_m)
+        images = [o3d.t.geometry.Image(o3d.core.Tensor(image)) for image in (depth, color)]
+        matrices = (o3d.core.Tensor(m) for m in (frame.intrinsics.matrix(), inverse_rigid(T_world_camera)))
+        K, T_camera_world = matrices
+        if not (depth > 0).any():
+            return
+        blocks = self._grid.compute_unique_block_coordinates(
+            images[0], K, T_camera_world, 1.0, self.max_depth_m, TRUNCATION_VOXELS
+        )
+        self._grid.integrate(blocks, *images, K, T_camera_world, 1.0, self.max_depth_m, TRUNCATION_VOXELS)
+        self.frames += 1
+        if self.memory_mb > self.max_memory_mb:
+            raise InputError(
+                f"{frame.name}: the voxels take more than {self.max_memory_mb:g} MB after {self.frames} frames; take a "
+                f"larger --voxel-size than {self.voxel_size_m:g} m, or allow more with --max-memory"
+            )
+
+    def mesh(self) -> o3d.geometry.TriangleMesh:
+        """The surface with normals and colours 0..1, small islands left out. Raises InputError if there is none."""
+        weight = 1.0 if self.frames < 6 else 2.0
+        surface = self._grid.extract_triangle_mesh(weight_threshold=weight) if self.frames else None
+        mesh = o3d.geometry.TriangleMesh() if surface is None else surface.to_legacy()
+        if len(mesh.triangles):
+            islands, sizes, _ = mesh.cluster_connected_triangles()
+            mesh.remove_triangles_by_mask(np.asarray(sizes)[np.asarray(islands)] < MIN_ISLAND_TRIANGLES)
+            mesh.remove_unreferenced_vertices()
+        if not len(mesh.triangles):
+            raise InputError(f"the {self.frames} fused frames leave no surface; check depth scale and --max-depth")
+        mesh.vertex_colors = o3d.utility.Vector3dVector(np.clip(np.asarray(mesh.vertex_colors), 0.0, 1.0))
+        mesh.compute_vertex_normals()
+        return mesh
+
+
+def save_mesh(path: Path, mesh: o3d.geometry.TriangleMesh) -> None:
+    """Write a .ply or .glb file. Raises OutputError if it cannot be written, or has another ending."""
+    path = Path(path)
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise OutputError(f"{path}: expected a name ending in {' or '.join(MESH_SUFFIXES)}")
+    with replacing(path) as temporary:
+        if path.suffix.lower() == ".glb":
+            arrays = (mesh.vertices, mesh.vertex_normals, mesh.vertex_colors, mesh.triangles)
+            temporary.write_bytes(glb_bytes(*map(np.asarray, arrays)))
+        elif not o3d.io.write_triangle_mesh(str(temporary), mesh):
+            raise OutputError(f"{path}: cannot be written")
+
+
+def _undistorted(frame: RGBDFrame, max_depth_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W) float32 depth [m], 0 for none, and (H, W, 3) float32 colour 0..1, as a camera without distortion sees."""
+    depth = depth_in_range(frame, 0.1, max_depth_m)
+    depth[depth_edges(depth, frame.intrinsics)] = np.nan
+    depth = np.nan_to_num(depth).astype(np.float32)
+    color = frame.color
+    k: PinholeIntrinsics = frame.intrinsics
+    if k.distorted:
+        size = (k.width, k.height)
+        maps = cv2.initUndistortRectifyMap(k.matrix(), np.array(k.distortion), None, k.matrix(), size, cv2.CV_32FC1)
+        depth = cv2.remap(depth, *maps, cv2.INTER_NEAREST)
+        color = cv2.remap(color, *maps, cv2.INTER_LINEAR)
+    return depth, np.ascontiguousarray(color.astype(np.float32) / 255.0)

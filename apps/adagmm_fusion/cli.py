@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import fields
 from importlib import metadata
 
-from adagmm_fusion.commands import calibrate, convert, fuse, info, verify
+from adagmm_fusion.commands import calibrate, convert, convert_rig, fuse, info, verify
 from adagmm_o3d.errors import AdaGMMError
 
 SETTINGS_OPTIONS = {
@@ -47,6 +47,7 @@ def parser() -> argparse.ArgumentParser:
     info.add(commands)
     convert.add(commands)
     calibrate.add(commands)
+    convert_rig.add(commands)
     verify.add(commands)
     fuse.add(commands)
     return top

@@ -1,0 +1,78 @@
+"""`adagmm-fusion convert-rig`: calibrations of ROS and OpenCV as a rig file."""
+
+import argparse
+from pathlib import Path
+
+METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+
+
+def add(commands) -> None:
+    text = (
+        "Make a rig file of calibrations that ROS (camera_info YAML) or OpenCV (FileStorage) wrote. The first sensor "
+        "is the rig's frame. Where the others are comes from --stereo, or from the rectification that ROS files hold; "
+        "else it is unknown."
+    )
+    command = commands.add_parser("convert-rig", help="make a rig file of ROS or OpenCV calibrations", description=text)
+    command.add_argument("sensors", nargs="+", metavar="SENSOR=FILE", help="a sensor's name and its calibration")
+    command.add_argument("--output", required=True, metavar="RIG", help="the rig file to write")
+    command.add_argument("--stereo", metavar="FILE", help="an OpenCV file with R, T of two sensors: x2 = R x1 + T")
+    command.add_argument(
+        "--length-unit",
+        choices=METRES_PER_UNIT,
+        default="m",
+        help="of T in --stereo: the unit that the board's squares were given in (default: %(default)s)",
+    )
+    command.add_argument("--size", metavar="WxH", help="image size, for OpenCV files without it")
+    command.add_argument(
+        "--depth-scale",
+        type=float,
+        default=1000.0,
+        metavar="UNITS",
+        help="depth units per metre (default: %(default)g)",
+    )
+    command.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the rig file; returns the exit code.
+
+    Raises
+    ------
+    AdaGMMError  if a calibration cannot be used, or the rig file cannot be written.
+    """
+    import numpy as np
+
+    from adagmm_fusion.board_calibration.boards import parse_board_size
+    from adagmm_fusion.frames import inverse_rigid
+    from adagmm_fusion.rig import Rig, SensorCalibration, save_rig
+    from adagmm_fusion.rig_import import read_camera, read_stereo_pose
+    from adagmm_o3d.errors import InputError
+
+    size = parse_board_size(args.size, "--size") if args.size else None
+    cameras = {}
+    for number, text in enumerate(args.sensors, 1):
+        name, equals, path = text.partition("=")
+        if not (name and equals and path) or name in cameras:
+            raise InputError(f"SENSOR=FILE: expected different names as left=left.yaml, got {text!r}")
+        cameras[name] = read_camera(path, number, size)
+    first, *others = cameras
+    poses = dict.fromkeys(cameras) | {first: np.eye(4)}
+    if args.stereo:
+        if len(others) != 1:
+            raise InputError(f"--stereo: expected two sensors, got {len(cameras)}")
+        poses[others[0]] = read_stereo_pose(args.stereo, METRES_PER_UNIT[args.length_unit])
+    elif all(camera.T_stereo_camera is not None for camera in cameras.values()):
+        T_first = inverse_rigid(cameras[first].T_stereo_camera)
+        placed = {name: T_first @ cameras[name].T_stereo_camera for name in others}
+        # Cameras calibrated one by one all have their own rectification, with no distance between them.
+        if all(np.linalg.norm(T[:3, 3]) > 0 for T in placed.values()):
+            poses |= placed
+    output = Path(args.output)
+    sensors = {
+        name: SensorCalibration(name, camera.intrinsics, args.depth_scale, poses[name])
+        for name, camera in cameras.items()
+    }
+    save_rig(output, Rig(output.stem, sensors, f"from {', '.join(args.sensors)}"))
+    unknown = [name for name, pose in poses.items() if pose is None]
+    print(f"{output}: {', '.join(cameras)}" + (f"; the pose of {', '.join(unknown)} is unknown" if unknown else ""))
+    return 0

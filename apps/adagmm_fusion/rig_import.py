@@ -1,0 +1,165 @@
+"""Calibrations of other programs as a rig: ROS camera_info YAML and OpenCV FileStorage (YAML, XML or JSON).
+
+ROS camera_info, as camera_calibration writes it or `rostopic echo` prints it, one camera a file:
+    image_width, image_height            or width, height
+    camera_matrix: {rows, cols, data}    or K (k), a list of 9
+    distortion_model                     plumb_bob or rational_polynomial
+    distortion_coefficients: {...}       or D (d), a list
+    rectification_matrix, projection_matrix, or R, P (r, p): where they say so, the two cameras' relative pose [m]
+
+OpenCV FileStorage, under the names its samples use; the second camera of a stereo file has the names with a 2:
+    camera_matrix, cameraMatrix, K, or M1, cameraMatrix1, K1                             3x3
+    distortion_coefficients, distCoeffs, D, or D1, distCoeffs1                           optional
+    image_width, image_height or image_size, imageSize (width, height)                  optional
+    R, T (in a stereo file)                                                              x2 = R x1 + T
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from adagmm_fusion.errors import RigError
+from adagmm_fusion.frames import PinholeIntrinsics, checked_rigid_transformation, inverse_rigid
+from adagmm_fusion.strict_yaml import Item, read_yaml
+from adagmm_o3d.errors import InputError
+
+ROS_MODELS = ("plumb_bob", "rational_polynomial")
+MATRIX_NAMES = ("camera_matrix", "cameraMatrix", "K")
+DISTORTION_NAMES = ("distortion_coefficients", "distCoeffs", "D")
+OPENCV_MARKS = (b"%YAML:1.0", b"opencv_storage", b"opencv-matrix")
+
+
+@dataclass(frozen=True, eq=False)
+class ImportedCamera:
+    """`T_stereo_camera` (4, 4): its pose in the rectified frame that it shares with the other camera, or None."""
+
+    intrinsics: PinholeIntrinsics
+    T_stereo_camera: np.ndarray | None = None
+
+
+def read_camera(path, number: int = 1, size: tuple[int, int] | None = None) -> ImportedCamera:
+    """One camera's calibration.
+
+    Parameters
+    ----------
+    number : which camera of an OpenCV stereo file, from 1.    size : (width, height) where the file has none.
+
+    Raises
+    ------
+    RigError  naming the file and what is missing or wrong.
+    """
+    path = Path(path)
+    try:
+        start = path.read_bytes()[:4096]
+    except OSError as problem:
+        raise RigError(f"{path}: cannot be read: {problem.strerror}") from problem
+    if any(mark in start for mark in OPENCV_MARKS) or path.suffix.lower() in (".xml", ".json"):
+        return ImportedCamera(_opencv_camera(path, number, size))
+    return _ros_camera(path)
+
+
+def read_stereo_pose(path, metres_per_unit: float) -> np.ndarray:
+    """T_first_second (4, 4) [m] from R and T of an OpenCV file, whose T is in units of `metres_per_unit`."""
+    storage = _opened(Path(path))
+    R, t = (storage.getNode(name).mat() for name in ("R", "T"))
+    if R is None or t is None or R.shape != (3, 3) or t.size != 3:
+        raise RigError(f"{path}: expected R (3x3) and T (3) of a stereo calibration")
+    T_second_first = np.eye(4)
+    T_second_first[:3, :3], T_second_first[:3, 3] = R, metres_per_unit * t.ravel()
+    try:
+        return inverse_rigid(checked_rigid_transformation(T_second_first, "R, T"))
+    except InputError as problem:
+        raise RigError(f"{path}: {problem}") from problem
+
+
+def _intrinsics(path: Path, size, K, distortion) -> PinholeIntrinsics:
+    K = np.asarray(K, dtype=float)
+    if K.shape != (3, 3) or K[0, 1] != 0 or K[1, 0] != 0 or not np.array_equal(K[2], (0, 0, 1)):
+        raise RigError(f"{path}: expected a camera matrix fx 0 cx / 0 fy cy / 0 0 1, got {K.tolist()}")
+    try:
+        return PinholeIntrinsics(*size, K[0, 0], K[1, 1], K[0, 2], K[1, 2], tuple(np.ravel(distortion).tolist()))
+    except InputError as problem:
+        raise RigError(f"{path}: {problem}") from problem
+
+
+def _opened(path: Path) -> cv2.FileStorage:
+    try:
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    except (cv2.error, SystemError) as problem:
+        raise RigError(f"{path}: not a file that OpenCV reads; it is damaged or something else") from problem
+    if not storage.isOpened():
+        raise RigError(f"{path}: OpenCV cannot read it; it is missing, damaged or something else")
+    return storage
+
+
+def _opencv_camera(path: Path, number: int, size: tuple[int, int] | None) -> PinholeIntrinsics:
+    storage = _opened(path)
+
+    def matrix(names: tuple[str, ...], numbered: tuple[str, ...]) -> np.ndarray | None:
+        for name in (*names, *(f"{n}{number}" for n in numbered)):
+            node = storage.getNode(name)
+            if not node.empty():
+                return node.mat()
+        return None
+
+    K = matrix(MATRIX_NAMES, ("M", "cameraMatrix", "K"))
+    if K is None:
+        names = ", ".join(MATRIX_NAMES)
+        raise RigError(f"{path}: expected a camera matrix called {names} or M{number}, got none")
+    distortion = matrix(DISTORTION_NAMES, ("D", "distCoeffs"))
+    width, height = storage.getNode("image_width"), storage.getNode("image_height")
+    if not width.empty() and not height.empty():
+        size = int(width.real()), int(height.real())
+    for name in ("image_size", "imageSize"):
+        node = storage.getNode(name)
+        if node.isSeq() and node.size() == 2:
+            size = int(node.at(0).real()), int(node.at(1).real())
+    if size is None:
+        raise RigError(f"{path}: the image size is not in it; give it with --size")
+    return _intrinsics(path, size, K, () if distortion is None else distortion)
+
+
+def _ros_camera(path: Path) -> ImportedCamera:
+    keys = read_yaml(path, RigError).mapping()
+
+    def find(*names: str) -> Item | None:
+        return next((keys[name] for name in names if name in keys), None)
+
+    def need(*names: str) -> Item:
+        item = find(*names)
+        if item is None:
+            raise RigError(f"{path}: expected a ROS camera_info or OpenCV calibration, there is no {names[0]}")
+        return item
+
+    size = need("image_width", "width").integer(), need("image_height", "height").integer()
+    K = _numbers(need("camera_matrix", "K", "k"), 9).reshape(3, 3)
+    distortion = _numbers(need("distortion_coefficients", "D", "d"))
+    model = find("distortion_model")
+    if model is not None and model.text() not in ROS_MODELS and np.any(distortion):
+        model.fail(f"expected {' or '.join(ROS_MODELS)}, got {model.value}; calibrate with one of these models")
+    intrinsics = _intrinsics(path, size, K, distortion if np.any(distortion) else ())
+    R, P = find("rectification_matrix", "R", "r"), find("projection_matrix", "P", "p")
+    if R is None or P is None:
+        return ImportedCamera(intrinsics)
+    P = _numbers(P, 12).reshape(3, 4)
+    if P[0, 0] == 0:  # an uncalibrated one is all zeros
+        return ImportedCamera(intrinsics)
+    T_rectified_camera = np.eye(4)
+    T_rectified_camera[:3, :3] = _numbers(R, 9).reshape(3, 3)
+    try:
+        T = checked_rigid_transformation(T_rectified_camera, "rectification_matrix")
+    except InputError as problem:
+        raise RigError(f"{path}: {problem}") from problem
+    # The rectified camera looks along the common frame's axes from where P's last column says: P = K' [I | -position].
+    T[0, 3], T[1, 3] = -P[0, 3] / P[0, 0], -P[1, 3] / P[1, 1]
+    return ImportedCamera(intrinsics, T)
+
+
+def _numbers(item: Item, count: int | None = None) -> np.ndarray:
+    data = item.value["data"] if isinstance(item.value, dict) and "data" in item.value else item
+    numbers = data.numbers()
+    if count is not None and len(numbers) != count:
+        data.fail(f"expected {count} numbers, got {len(numbers)}")
+    return np.array(numbers)

@@ -62,7 +62,7 @@ def _add_run(commands) -> None:
     default = {field.name: field.default for field in fields(Settings)}
     text = "Register the pairs of a recording; write a report, fused clouds, the estimated rig and a Rerun recording."
     command = commands.add_parser("run", help="register the pairs of a recording", description=text)
-    command.add_argument("recording", metavar="RECORDING", help="its folder, or a folder of many; see recordings/README.md")
+    command.add_argument("recording", metavar="RECORDING", help="a folder, or one of many; see recordings/README.md")
     command.add_argument("--calibration", metavar="RIG", help="a rig file instead of the recording's own calibration")
     command.add_argument("--format", choices=sorted(FORMATS), help="the recording's format (default: looked for)")
     command.add_argument(

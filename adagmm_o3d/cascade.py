@@ -20,7 +20,7 @@ from .expectation import SIGMA_FLOOR, PosteriorExpectation
 from .mixture import Mixture
 from .pairs import Pairs
 from .pose_covariance import Fit
-from .start_search import End, Limits, Start, distinct, pose_distance, run_starts
+from .start_search import End, Limits, Start, distinct, joined, pose_distance, run_starts
 from .trace import Iteration
 
 # Components of the coarsest level, points of the one that ranks the search, and of the one that decides. Clouds of up
@@ -85,7 +85,7 @@ class Cascade:
         )
         rivals = [
             end
-            for end in distinct(_joined(kept, ranked), KEPT_RANKING, APART_RANKING)
+            for end in distinct(joined(kept, ranked), KEPT_RANKING, APART_RANKING)
             if pose_distance(end.pose, decided.pose) > APART_DECIDING
         ]
         return sorted([decided, *self._decide(rivals, size)], key=lambda end: -end.log_likelihood)
@@ -113,7 +113,16 @@ class Cascade:
 
     def run_deciding(self, starts: list[Start]) -> list[End]:
         """Run starts on the deciding level right away."""
-        size = SMALL if self.small else DECIDING
+        return self._run_sampled(starts, SMALL if self.small else DECIDING)
+
+    def _run_merged(self, starts: list[Start]) -> list[End]:
+        return run_starts(*self._merged, starts, limits=MERGED_LIMITS, volume=self.volume, level=0)
+
+    def _decide(self, ends: list[End], size: int) -> list[End]:
+        again = [Start(end.pose, end.sigma, end.unmatched, fastest=0.75, iterations=20, follow=1.0) for end in ends]
+        return joined(ends, self._run_sampled(again, size))
+
+    def _run_sampled(self, starts: list[Start], size: int) -> list[End]:
         return run_starts(
             sample(self.source, size),
             sample(self.target, size),
@@ -122,29 +131,6 @@ class Cascade:
             volume=self.volume,
             level=2,
         )
-
-    def _run_merged(self, starts: list[Start]) -> list[End]:
-        return run_starts(*self._merged, starts, limits=MERGED_LIMITS, volume=self.volume, level=0)
-
-    def _decide(self, ends: list[End], size: int) -> list[End]:
-        again = [Start(end.pose, end.sigma, end.unmatched, fastest=0.75, iterations=20, follow=1.0) for end in ends]
-        decided = run_starts(
-            sample(self.source, size),
-            sample(self.target, size),
-            again,
-            limits=DECIDING_LIMITS,
-            volume=self.volume,
-            level=2,
-        )
-        return _joined(ends, decided)
-
-
-def _joined(before: list[End], after: list[End]) -> list[End]:
-    """Each end with the way that led to its start put in front."""
-    return [
-        replace(end, start=old.start, iterations=old.iterations + end.iterations)
-        for old, end in zip(before, after, strict=True)
-    ]
 
 
 def _spacing(mixture: Mixture) -> float:

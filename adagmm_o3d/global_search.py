@@ -8,7 +8,7 @@ within what the first, wide σ sees.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from .coarse import MergedMixture, merge, sample
 from .expectation import SIGMA_FLOOR
 from .lie import so_exp
 from .mixture import Mixture
-from .start_search import End, Limits, Start, distinct, pose_distance, run_starts
+from .start_search import End, Limits, Start, distinct, joined, pose_distance, run_starts
 
 # Neighbours in a grid of 128 rotations are about 50° apart, which is within reach of σ = 0.1 [radius²] on both sides.
 ROTATIONS, ANGLES = 128, 24
@@ -128,10 +128,7 @@ def _levels(source: Mixture, target: Mixture) -> tuple[_Level, _Level, _Level, _
 def _carry_on(before: list[End], starts: list[Start], on: _Level, volume: float, level: int) -> list[End]:
     """The best of the ends of `starts` on a level, each with the way that led to its start put in front."""
     ends = run_starts(*on.mixtures, starts, limits=on.limits, volume=volume, level=level)
-    after = [
-        replace(end, start=old.start, iterations=old.iterations + end.iterations)
-        for old, end in zip(before, ends, strict=True)
-    ]
+    after = joined(before, ends)
     kept = distinct(after, on.kept, on.apart)
     rivals = [end for end in after if pose_distance(end.pose, kept[0].pose) > APART_AMBIGUOUS]
     if rivals and all(pose_distance(end.pose, kept[0].pose) <= APART_AMBIGUOUS for end in kept):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,6 +129,14 @@ def distinct(ends: list[End], count: int, distance: float) -> list[End]:
         if all(pose_distance(end.pose, k.pose) > distance for k in kept):
             kept.append(end)
     return kept
+
+
+def joined(before: list[End], after: list[End]) -> list[End]:
+    """Each end with the way that led to its start put in front."""
+    return [
+        replace(end, start=old.start, iterations=old.iterations + end.iterations)
+        for old, end in zip(before, after, strict=True)
+    ]
 
 
 def pose_distance(a: Array, b: Array) -> float:

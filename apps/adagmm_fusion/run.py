@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from adagmm_fusion.commands.progress import progress
 from adagmm_fusion.frame_sequence import Recording
 from adagmm_fusion.fusion import RigEstimate, fused_cloud, save_cloud
 from adagmm_fusion.pair_record import PairRecord, pair_record
@@ -55,10 +55,10 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
     rig_estimate, interrupted = RigEstimate(), False
     with contextlib.ExitStack() as stack:
         viewer = None if args.no_rerun else stack.enter_context(_viewer(args, recording, settings, len(indices)))
-        progress = stack.enter_context(_progress())
-        task = progress.add_task("compiling kernels", total=len(indices))
+        display = stack.enter_context(progress())
+        task = display.add_task("compiling kernels", total=len(indices))
         compile_kernels(settings.device)
-        progress.update(task, description=recording.name)
+        display.update(task, description=recording.name)
         try:
             for outcome in run_pairs(recording, settings, indices):
                 if viewer is not None:
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
                     save_cloud(folder / name, fused)
                     results[f"fused cloud {outcome.pair_name}"] = name
                 records.append(pair_record(outcome))
-                progress.advance(task)
+                display.advance(task)
         except KeyboardInterrupt:
             interrupted = True
         finally:
@@ -96,7 +96,7 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
                 results=results,
             )
             paths = write_report(folder, report)
-            progress.stop()
+            display.stop()
             _print(report, folder, paths, to_stderr=args.stdout)
     return INTERRUPTED if interrupted else 0
 
@@ -185,13 +185,6 @@ def _viewer(args: argparse.Namespace, recording: Recording, settings: Settings, 
             parameters=asdict(settings),
         )
         yield _Viewer(stream, settings, pair_count)
-
-
-def _progress() -> Progress:
-    """A progress bar on stderr, if that is a terminal."""
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
 
 
 def _print(report: Report, folder: Path, paths: tuple[Path, Path], *, to_stderr: bool) -> None:

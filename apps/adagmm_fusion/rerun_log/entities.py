@@ -16,7 +16,6 @@ INITIAL = f"{WORLD}/initial"
 TRUTH = f"{WORLD}/truth"
 DIFFERENCE = f"{WORLD}/difference"
 UNOBSERVABLE = f"{WORLD}/unobservable"
-FUSED = f"{WORLD}/fused"
 
 METRICS = "metrics"
 ENERGY = f"{METRICS}/energy"

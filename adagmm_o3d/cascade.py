@@ -48,11 +48,17 @@ class Cascade:
 
     def __init__(self, source: Mixture, target: Mixture, volume: float) -> None:
         self.source, self.target, self.volume = source, target, volume
+        self._samples: dict[int, tuple[MergedMixture, MergedMixture]] = {}
         self.small = max(len(source), len(target)) <= SMALL
 
     @cached_property
     def _merged(self) -> tuple[MergedMixture, MergedMixture]:
         return merge(self.source, MERGED), merge(self.target, MERGED)
+
+    def _sampled(self, size: int) -> tuple[MergedMixture, MergedMixture]:
+        if size not in self._samples:
+            self._samples[size] = sample(self.source, size), sample(self.target, size)
+        return self._samples[size]
 
     def register_trusted(self, starts: list[Start]) -> tuple[End, End]:
         """The likeliest of the starts, on the merged level and carried on to the deciding one."""
@@ -76,8 +82,7 @@ class Cascade:
         kept = [end for end in distinct([merged, *ends], KEPT_MERGED, APART_MERGED) if end is not merged]
         again = [Start(end.pose, 2.0 * MERGED_LIMITS.floor, end.unmatched, 0.65, 6, follow=0.0) for end in kept]
         ranked = run_starts(
-            sample(self.source, RANKING),
-            sample(self.target, RANKING),
+            *self._sampled(RANKING),
             again,
             limits=RANKING_LIMITS,
             volume=self.volume,
@@ -124,8 +129,7 @@ class Cascade:
 
     def _run_sampled(self, starts: list[Start], size: int) -> list[End]:
         return run_starts(
-            sample(self.source, size),
-            sample(self.target, size),
+            *self._sampled(size),
             starts,
             limits=DECIDING_LIMITS,
             volume=self.volume,

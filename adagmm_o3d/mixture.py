@@ -87,10 +87,14 @@ class Mixture:
 
     def largest_variances(self) -> Array:
         """(n,) the largest eigenvalue of each covariance: how far the point reaches."""
-        if self.isotropic:
-            return self.covariances[:, 0, 0].copy()
-        eigenvalues = np.linalg.eigvalsh(self.covariances[:, : self.dimension, : self.dimension])
-        return np.asarray(eigenvalues[:, -1], np.float64)
+        return largest_variances(self.covariances, self.dimension, self.isotropic)
+
+
+def largest_variances(covariances: Array, dimension: int, isotropic: bool) -> Array:
+    """(n,) the largest eigenvalue of each of (n, 3, 3) covariances."""
+    if isotropic:
+        return covariances[:, 0, 0].copy()
+    return np.asarray(np.linalg.eigvalsh(covariances[:, :dimension, :dimension])[:, -1], np.float64)
 
 
 def make_mixture(

@@ -13,6 +13,7 @@ from ..mixture import Mixture
 from .adaptive_sums import adaptive_sums
 from .compiling import LOG2_SCALE
 from .convolution_sums import convolution_sums
+from .convolved_pass import FACTOR, MATRIX, pack
 from .culling import CHUNK, CLUSTER
 from .layout import GRADIENT, HESSIAN, TOTAL_ENERGY, TOTAL_LIKELIHOOD, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
 from .nearest import nearest_sq
@@ -104,7 +105,6 @@ class PairLoop:
         self._precisions: tuple[Float32, Float32] | None = None
         self._covariances: tuple[Float32, Float32] | None = None
         self._scaled = np.empty((1 if self._isotropic else 6, len(target)), np.float32)
-        self._columns = np.empty((self._bands, len(target)), np.float32)
 
     def sums(self, pose: Array, source_sigma: float, target_sigma: float) -> PairSums:
         """The paper's E-step at `pose` (4, 4), the covariances of either side times its σ, summed up for the M-step."""
@@ -149,31 +149,39 @@ class PairLoop:
         source, target = self._source, self._target
         if self._covariances is None:
             self._covariances = source.covariances(), target.covariances()
-        np.multiply(self._covariances[1], np.float32(sigma), out=self._scaled)
-        factor = np.ones(len(target.order), np.float32)
+            self._packed_target = pack(target.points, target.weights32, len(self._covariances[1]))
+        scale = np.float32(sigma)
+        packed, n = self._packed_target, len(target.order)
+        np.multiply(self._covariances[1], scale, out=packed[MATRIX:, :n])
+        packed[FACTOR, :n] = 1.0
         if mutuality > 0.0:
             assert column_densities is not None
-            factor = _float32((uniform / (column_densities[target.order] + uniform)) ** mutuality)
+            packed[FACTOR, :n] = (uniform / (column_densities[target.order] + uniform)) ** mutuality
         partials, densities = np.empty((self._bands, TOTAL_SUMS)), np.empty(len(source.order))
+        columns32 = np.empty((self._bands, packed.shape[1]), np.float32)
         unit = LOG2_SCALE ** (1.0 if self._planar else 1.5)  # |Σ|^(-1/2) in powers of two
         self._run(
             convolution_sums,
             _packed_pose(pose),
-            np.array([sigma, sigma], np.float32),
-            (source.points, self._covariances[0], source.weights, source.weights32, source.variances, source.bits),
-            (target.points, self._scaled, target.weights32, factor),
-            self._tiles,
-            self._isotropic,
-            self._planar,
+            (
+                source.points,
+                self._covariances[0] * scale,
+                source.weights,
+                source.weights32,
+                source.variances * scale,
+                source.bits,
+            ),
+            (packed, target.variances * scale, target.bits),
+            self._tiles.at(scale),
+            (self._planar, self._isotropic),
             uniform * unit,
             mutuality,
-            self._bands,
-            self._columns,
+            columns32,
             partials,
             densities,
         )
         total = total_of(partials)
-        columns = np.add.reduce(self._columns, axis=0, dtype=np.float64) / (unit * target.weights)
+        columns = np.add.reduce(columns32[:, :n], axis=0, dtype=np.float64) / (unit * target.weights)
         densities /= unit
         posterior = densities / (densities + uniform)
         log_likelihood = total[TOTAL_LIKELIHOOD] + float(target.weights @ np.log1p(columns / uniform))

@@ -49,7 +49,7 @@ def conclude(
             pose_covariance = covariance_out(uncertainty.covariance, normalisation)
     if outcome.sums is not None:
         uniform = uniform_density(JUDGED_UNMATCHED, dimension, volume)
-        posterior, _ = pairs.posterior_sums(outcome.pose, outcome.iterations[-1].sigma, uniform)
+        posterior = pairs.posterior_sums(outcome.pose, outcome.iterations[-1].sigma, uniform)
         row_weights[source.kept], overlap = posterior.row_weights, posterior.overlap
     return PointRegistrationResult(
         transformation=poses[-1].copy(),

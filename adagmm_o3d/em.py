@@ -11,7 +11,6 @@ import numpy as np
 from .arguments import Array
 from .expectation import Expectation
 from .kernels.pair_loop import PairSums
-from .lie import se_exp
 from .m_step import solve_step
 from .result import StopReason
 from .trace import Iteration
@@ -63,12 +62,12 @@ def expectation_maximisation(
             return Outcome(pose, tuple(iterations), StopReason.NO_OVERLAP, None)
         # M-step: R, t that lower Eq. 5, the weights held.
         delta = relaxation * solve_step(sums.hessian, sums.gradient, dimension)
-        pose = se_exp(delta) @ pose
+        settled = float(np.linalg.norm(delta)) <= math.sqrt(criteria.relative_rmse * sigma)
+        # σ: both mixtures shrink as the clouds come together.
+        pose, done = expectation.advance(pose, delta, sums, settled)
         iterations.append(Iteration(pose, sigma, sums.energy / sums.weight, expectation.matched(sums), level))
         if observe is not None:
             observe(iterations[-1])
-        # σ: both mixtures shrink as the clouds come together.
-        settled = float(np.linalg.norm(delta)) <= math.sqrt(criteria.relative_rmse * sigma)
-        if expectation.shrink(pose, sums, settled):
+        if done:
             return Outcome(pose, tuple(iterations), StopReason.CONVERGED, sums)
     return Outcome(pose, tuple(iterations), StopReason.MAX_ITERATION, sums)

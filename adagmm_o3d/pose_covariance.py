@@ -123,11 +123,11 @@ class ScoreMoments:
 def score_moments(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -> ScoreMoments:
     """The scores of the points of both clouds at a pose."""
     uniform = uniform_density(fit.unmatched, source.dimension, fit.volume)
-    sums, column_densities = pairs.posterior_sums(fit.pose, fit.sigma, uniform)
+    sums = pairs.posterior_sums(fit.pose, fit.sigma, uniform)
     source_weights, target_weights = source.weights / source.weights.sum(), target.weights / target.weights.sum()
     # 1 / (density + uniform), for the source points from the probability to have a partner
     source_rest = (1.0 - sums.row_weights) / uniform
-    target_rest = 1.0 / (column_densities + uniform)
+    target_rest = 1.0 / (sums.column_densities + uniform)
     axis = int(np.argmax(np.ptp(target.points, axis=0)))
     moved = _side(source, fit, fit.pose, source_weights * source_rest ** (1.0 - fit.mutuality), axis)
     still = _side(target, fit, np.eye(4), target_weights * target_rest**fit.mutuality, axis)

@@ -131,6 +131,35 @@ def row_convolved_isotropic(x0, x1, x2, a, share, factor, planar, own, y0, y1, y
     row[14] += density
 
 
+@njit(**FLAGS)
+def column_convolved(x0, x1, x2, a0, a1, a2, a3, a4, a5, share, own, y0, y1, y2, b0, b1, b2, b3, b4, b5, columns):
+    """Only what one source point adds to `columns`."""
+    for j in range(x0.shape[0]):
+        dx = y0 - x0[j]
+        dy = y1 - x1[j]
+        dz = y2 - x2[j]
+        s0 = a0[j] + b0
+        s1 = a1[j] + b1
+        s2 = a2[j] + b2
+        c0, c1, c2, c3, c4, c5 = adjugate(s0, s1, s2, a3[j] + b3, a4[j] + b4, a5[j] + b5)
+        root = F1 / math.sqrt(dot(s0, s1, s2, c0, c1, c2))
+        vx, vy, vz = symmetric_product(c0, c1, c2, c3, c4, c5, dx, dy, dz)
+        q = dot(dx, dy, dz, vx, vy, vz) * (root * root)
+        columns[j] += own * (share[j] * root * exp2_float32(-q))
+
+
+@njit(**FLAGS)
+def column_convolved_isotropic(x0, x1, x2, a, share, planar, own, y0, y1, y2, b, columns):
+    """The same where every covariance is a multiple of the identity."""
+    for j in range(x0.shape[0]):
+        dx = y0 - x0[j]
+        dy = y1 - x1[j]
+        dz = y2 - x2[j]
+        precision = F1 / (a[j] + b)
+        q = precision * dot(dx, dy, dz, dx, dy, dz)
+        columns[j] += own * (share[j] * precision * (F1 if planar else math.sqrt(precision)) * exp2_float32(-q))
+
+
 def pack(points, weights, matrix_rows):
     """(5 + matrix_rows, padded n) float32 target for `convolved_pass`: coordinates and weights, factors of one, room for
     the matrices at σ."""
@@ -144,24 +173,34 @@ def pack(points, weights, matrix_rows):
 @njit(**FLAGS)
 def cluster_rows(target, i, j, kind, own, y, turned, column, offset, rows):
     """The pairs of a cluster's points with packed target points i..j; `column` begins at target point `offset`."""
-    planar, isotropic = kind
+    planar, isotropic, columns_only = kind
+    columns = column[i - offset : j - offset]
+    x0, x1, x2, share, factor = (
+        target[X, i:j], target[X + 1, i:j], target[X + 2, i:j], target[SHARE, i:j], target[FACTOR, i:j]
+    )  # fmt: skip
     for k in range(own.shape[0]):
-        b = turned[k]
+        y0, y1, y2, b = y[0, k], y[1, k], y[2, k], turned[k]
         if isotropic:
-            row_convolved_isotropic(
-                target[X, i:j], target[X + 1, i:j], target[X + 2, i:j], target[MATRIX, i:j],
-                target[SHARE, i:j], target[FACTOR, i:j], planar, own[k], y[0, k], y[1, k], y[2, k], b[0],
-                column[i - offset : j - offset], rows[k],
-            )  # fmt: skip
+            a = target[MATRIX, i:j]
+            if columns_only:
+                column_convolved_isotropic(x0, x1, x2, a, share, planar, own[k], y0, y1, y2, b[0], columns)
+            else:
+                row_convolved_isotropic(
+                    x0, x1, x2, a, share, factor, planar, own[k], y0, y1, y2, b[0], columns, rows[k]
+                )
         else:
-            row_convolved(
-                target[X, i:j], target[X + 1, i:j], target[X + 2, i:j],
-                target[MATRIX, i:j], target[MATRIX + 1, i:j], target[MATRIX + 2, i:j],
-                target[MATRIX + 3, i:j], target[MATRIX + 4, i:j], target[MATRIX + 5, i:j],
-                target[SHARE, i:j], target[FACTOR, i:j], own[k],
-                y[0, k], y[1, k], y[2, k], b[0], b[1], b[2], b[3], b[4], b[5],
-                column[i - offset : j - offset], rows[k],
-            )  # fmt: skip
+            a0, a1, a2 = target[MATRIX, i:j], target[MATRIX + 1, i:j], target[MATRIX + 2, i:j]
+            a3, a4, a5 = target[MATRIX + 3, i:j], target[MATRIX + 4, i:j], target[MATRIX + 5, i:j]
+            if columns_only:
+                column_convolved(
+                    x0, x1, x2, a0, a1, a2, a3, a4, a5, share,
+                    own[k], y0, y1, y2, b[0], b[1], b[2], b[3], b[4], b[5], columns,
+                )  # fmt: skip
+            else:
+                row_convolved(
+                    x0, x1, x2, a0, a1, a2, a3, a4, a5, share, factor,
+                    own[k], y0, y1, y2, b[0], b[1], b[2], b[3], b[4], b[5], columns, rows[k],
+                )  # fmt: skip
 
 
 @njit(**FLAGS)
@@ -186,13 +225,14 @@ def convolved_pass(pose, source, target, tiles, kind, uniform, mutuality, cluste
 
     source : points (3, M), matrices (1 or 6, M) at σ, weights float64 and float32, largest variances at σ, bits (M,).
     target : packed (6 or 11, padded N) float32, see `pack`; largest variances at σ, bits (N,).
-    tiles : the target's, with variances at σ.   kind : (planar, isotropic).   clusters : the first and past the last.
+    tiles : the target's, with variances at σ.   kind : (planar, isotropic, columns_only), the last for `column` alone.
+    clusters : the first and past the last.
     column : (padded N,) float32, to which the source's density at the target points is added.   total : (TOTAL_SUMS,), to
     which the sums are added.   densities : (M,) receives the target's density at the source points.
     """
     points, matrices, weights, weights32, variances, bits = source
     packed, target_variances, target_bits = target
-    planar, isotropic = kind
+    planar, isotropic, columns_only = kind
     m_all = points.shape[1]
     n_all = packed.shape[1]
     tile_count = tiles[0].shape[1]
@@ -234,6 +274,8 @@ def convolved_pass(pose, source, target, tiles, kind, uniform, mutuality, cluste
                         )
         if count > 0:
             gathered_rows(packed, index, count, kind, own, y, turned, near, near_column, column, rows)
+        if columns_only:
+            continue
         for m in range(m0, m1):
             k = m - m0
             density = rows[k, DENSITY]

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from .arguments import Array
-from .kernels.acceleration import LOG_SIGMA, UNMATCHED, accelerate, empty_memory, forget
+from .kernels.acceleration import LOG_SIGMA, UNMATCHED_SHARE, accelerate, empty_memory, forget
 from .kernels.pair_loop import PairSums, PosteriorSums
 from .lie import se_exp
 from .pairs import Pairs
@@ -114,7 +114,7 @@ class PosteriorExpectation:
         else:
             accelerate(residual, math.sqrt(old), self._memory, step)
             new = max(old * math.exp(step[LOG_SIGMA]), self._fastest * old, self._floor, LEAST_SIGMA)
-        self.unmatched = min(max(self.unmatched + step[UNMATCHED], LEAST_UNMATCHED), MOST_UNMATCHED)
+        self.unmatched = min(max(self.unmatched + step[UNMATCHED_SHARE], LEAST_UNMATCHED), MOST_UNMATCHED)
         self.scale = Scale(new, new)
         done = settled and abs(residual[LOG_SIGMA]) < SIGMA_TOLERANCE
         return se_exp(step[:LOG_SIGMA]) @ pose, done

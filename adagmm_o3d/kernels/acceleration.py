@@ -18,7 +18,7 @@ from numba import njit
 from .compiling import FLAGS, source_stamp
 
 # The state: ω, v, log σ, unmatched share.
-TURN_AND_SHIFT, LOG_SIGMA, UNMATCHED = 6, 6, 7
+TURN_AND_SHIFT, LOG_SIGMA, UNMATCHED_SHARE = 6, 6, 7
 STATE = 8
 # How many past steps are combined.
 MEMORY = 3
@@ -103,7 +103,7 @@ def product(a, b, deviation):
     pose = 0.0
     for i in range(TURN_AND_SHIFT):
         pose += a[i] * b[i]
-    return pose / (deviation * deviation) + a[LOG_SIGMA] * b[LOG_SIGMA] + a[UNMATCHED] * b[UNMATCHED]
+    return pose / (deviation * deviation) + a[LOG_SIGMA] * b[LOG_SIGMA] + a[UNMATCHED_SHARE] * b[UNMATCHED_SHARE]
 
 
 @njit(**FLAGS)

@@ -9,6 +9,15 @@ import math
 import numpy as np
 from numba import njit, prange
 
+from .acceleration import (
+    LOG_SIGMA,
+    MEMORY,
+    STATE,
+    TURN_AND_SHIFT,
+    UNMATCHED_SHARE,
+    accelerated_step,
+    forget,
+)
 from .compiling import F0, FLAGS, KERNEL_FLAGS, LOG2_SCALE, source_stamp
 from .convolved_pass import MATRIX, SHARE, convolved_pass
 from .culling import CLUSTER
@@ -48,7 +57,7 @@ def solve(total, planar, delta):
         for k in range(i):
             s -= factor[i, k] * x[k]
         x[i] = s / factor[i, i]
-    delta[:] = 0.0
+    delta[:TURN_AND_SHIFT] = 0.0
     for i in range(n - 1, -1, -1):
         s = x[i]
         for k in range(i + 1, n):
@@ -149,7 +158,9 @@ def _build(stamp):
                 np.empty(m),
             )
             total = np.empty(TOTAL_SUMS)
-            delta = np.empty(6)
+            residual, taken = np.empty(STATE), np.empty(STATE)
+            memory = np.zeros((2 * MEMORY + 3, STATE))
+            forget(memory)
             sigma = starts[s, SIGMA]
             unmatched = starts[s, UNMATCHED]
             ends[s, END_ITERATIONS] = starts[s, ITERATIONS]
@@ -158,20 +169,28 @@ def _build(stamp):
                 pose32[:] = pose
                 uniform = world * unmatched / (1.0 - unmatched)
                 one_pass(pose32, np.float32(sigma), uniform, source, target, kind, work, total)
-                solve(total, planar, delta)
-                move(delta, pose)
+                solve(total, planar, residual)
                 energy = total[TOTAL_ENERGY] / (LOG2_SCALE * max(total[TOTAL_WEIGHT], 1e-300))
+                wanted = max(starts[s, FOLLOW] * sigma * energy / dimension, floor)
+                new = max(starts[s, FASTEST] * sigma, wanted)
+                moved = 0.0
+                for i in range(TURN_AND_SHIFT):
+                    moved += residual[i] * residual[i]
+                still = moved <= step * step and abs(new - sigma) < 0.01 * sigma
+                residual[LOG_SIGMA] = math.log(new / sigma)
+                residual[UNMATCHED_SHARE] = min(max(1.0 - total[TOTAL_MATCHED], least), greatest) - unmatched
+                if new > wanted:
+                    forget(memory)
+                    taken[:] = residual
+                else:
+                    accelerated_step(residual, math.sqrt(sigma), memory, taken)
+                    new = max(sigma * math.exp(taken[LOG_SIGMA]), starts[s, FASTEST] * sigma, floor)
+                move(taken, pose)
                 history[s, iteration, :12] = pose
                 history[s, iteration, HISTORY_SIGMA] = sigma
                 history[s, iteration, HISTORY_ENERGY] = energy
                 history[s, iteration, HISTORY_MATCHED] = total[TOTAL_MATCHED]
-                observed = sigma * energy / dimension
-                new = max(starts[s, FASTEST] * sigma, starts[s, FOLLOW] * observed, floor)
-                unmatched = min(max(1.0 - total[TOTAL_MATCHED], least), greatest)
-                moved = 0.0
-                for i in range(6):
-                    moved += delta[i] * delta[i]
-                still = moved <= step * step and abs(new - sigma) < 0.01 * sigma
+                unmatched = min(max(unmatched + taken[UNMATCHED_SHARE], least), greatest)
                 sigma = new
                 if still:
                     ends[s, END_ITERATIONS] = iteration + 1

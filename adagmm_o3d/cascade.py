@@ -18,6 +18,7 @@ from .coarse import MergedMixture, merge, sample
 from .em import Criteria, Outcome, expectation_maximisation
 from .expectation import SIGMA_FLOOR, PosteriorExpectation
 from .mixture import Mixture
+from .neighbors import NeighborIndex
 from .pairs import Pairs
 from .pose_covariance import Fit
 from .start_search import End, Limits, Start, distinct, joined, pose_distance, run_starts
@@ -147,9 +148,6 @@ def _spacing(mixture: Mixture) -> float:
         points = points[np.random.default_rng(0).permutation(len(points))[:SPACING_FROM]]
     thinning = (len(points) / len(mixture)) ** (1.0 / (mixture.dimension - 1))
     probes = np.linspace(0, len(points) - 1, min(PROBES, len(points))).astype(np.intp)
-    nearest: Array = np.empty(len(probes))
-    for k, probe in enumerate(probes):
-        distances_sq = ((points - points[probe]) ** 2).sum(axis=1)
-        distances_sq[probe] = np.inf
-        nearest[k] = distances_sq.min()
+    flat = np.ascontiguousarray(points[:, : mixture.dimension])
+    nearest = NeighborIndex(flat).query(flat[probes], 2)[1][:, 1]
     return float(np.sqrt(np.median(nearest))) * thinning

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,8 +24,8 @@ from .kernels.backend import check_device, make_pair_loop
 from .lie import project_to_rotation, split
 from .mixture import Mixture, Normalisation, make_mixture, normalise
 from .options import TransformationEstimationForAdaptiveGMM
-from .pose_covariance import pose_uncertainty
-from .result import PointRegistrationResult
+from .pose_covariance import uncertainty_out
+from .result import PointRegistrationResult, PoseUncertainty
 from .settings import check_callback, check_criteria, check_estimation_method
 from .sigma_rules import Annealed, FigureTwo, NearestDistance, SigmaRule
 from .start_search import End
@@ -98,7 +99,7 @@ def register_points(
         raise InputError(f"init: expected a pose or 'global', got {init!r}")
     everywhere = isinstance(init, str)
     given = None if init is None or everywhere else _start_pose(init, normalisation, dimension)
-    ambiguous, uncertainty = False, None
+    ambiguous, assess = False, _unknown
     if method.sigma_rule == "posterior":
         cascade, ends = _find(moving, fixed, method, given, everywhere, normalisation)
         best, ambiguous = ends[0], everywhere and is_ambiguous(ends)
@@ -114,7 +115,8 @@ def register_points(
             relaxation=method.relaxation,
             observe=observe,
         )
-        uncertainty = pose_uncertainty(pairs, moving, fixed, fit) if method.uncertainty and outcome.sums else None
+        if outcome.sums is not None:
+            assess = partial(uncertainty_out, pairs, moving, fixed, fit, normalisation)
     else:
         if everywhere:
             raise InputError(f"init: 'global' needs sigma_rule 'posterior', got {method.sigma_rule!r}")
@@ -135,7 +137,7 @@ def register_points(
         pairs,
         volume=volume,
         ambiguous=ambiguous,
-        uncertainty=uncertainty,
+        assess=assess,
     )
 
 
@@ -166,6 +168,11 @@ def _find(
         return cascade, [trusted[1]]
     others = [*starts.around(bases[0], dimension), *(starts.narrow(base) for base in bases[1:])]
     return cascade, cascade.search(others, trusted)
+
+
+def _unknown() -> PoseUncertainty:
+    """Of a pose that the paper's own rules found, or that no pair speaks for."""
+    return PoseUncertainty(None, ())
 
 
 def _mutuality(method: TransformationEstimationForAdaptiveGMM, source: Mixture, target: Mixture) -> float:

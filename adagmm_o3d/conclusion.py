@@ -42,7 +42,7 @@ def conclude(
     poses = np.array([start, *(i.pose for i in outcome.iterations)])
     poses = lower(normalisation.pose_out(poses), dimension)
     row_weights, overlap = np.zeros(len(source.kept)), 0.0
-    if outcome.sums is not None:
+    if outcome.stop_reason is not StopReason.NO_OVERLAP:
         uniform = uniform_density(JUDGED_UNMATCHED, dimension, volume)
         posterior = pairs.posterior_sums(outcome.pose, outcome.iterations[-1].sigma, uniform)
         row_weights[source.kept], overlap = posterior.row_weights, posterior.overlap

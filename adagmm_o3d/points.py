@@ -25,16 +25,18 @@ from .lie import project_to_rotation, split
 from .mixture import Mixture, Normalisation, make_mixture, normalise
 from .options import TransformationEstimationForAdaptiveGMM
 from .pose_covariance import uncertainty_out
-from .result import PointRegistrationResult, PoseUncertainty
+from .result import PointRegistrationResult, PoseUncertainty, StopReason
 from .settings import check_callback, check_criteria, check_estimation_method
 from .sigma_rules import Annealed, FigureTwo, NearestDistance, SigmaRule
-from .start_search import End
+from .start_search import End, pose_distance
 from .trace import Iteration
 
 # A pose handed over by another program has float32 digits.
 INIT_TOLERANCE = 1e-4
 # A given start is believed when this share of the source has a partner where it leads.
 PLAUSIBLE = 0.1
+# Starts that differ by less than this, in radii, lead to the same end: σ = 0.3 does not tell them apart.
+SAME_START = 0.1
 # The paper's wide mixtures converge slowly: their steps are short long before the end.
 SLOW = 0.01
 
@@ -115,7 +117,7 @@ def register_points(
             relaxation=method.relaxation,
             observe=observe,
         )
-        if outcome.sums is not None:
+        if outcome.stop_reason is not StopReason.NO_OVERLAP:
             assess = partial(uncertainty_out, pairs, moving, fixed, fit, normalisation)
     else:
         if everywhere:
@@ -163,6 +165,8 @@ def _find(
         bases = [given]
     else:
         bases = {"auto": [centroids, identity], "centroids": [centroids], "init": [identity]}[method.start]
+        if pose_distance(bases[0], bases[-1]) < SAME_START:
+            bases = bases[:1]
     trusted = cascade.register_trusted([starts.wide(base) for base in bases])
     if not method.search or cascade.is_tight(trusted[1]):
         return cascade, [trusted[1]]

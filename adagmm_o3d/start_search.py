@@ -35,13 +35,14 @@ class Start:
 class Limits:
     """How far EM goes on a level, and how its ends are compared.
 
-    floor : least σ.   least_unmatched : least share of points without a partner.   step : the last step ‖δ‖.
+    floor : least σ.   least_unmatched : least share of points without a partner.   relative_rmse : as in
+    `em.Criteria`.
     judged_unmatched : the share of points without a partner at which ends are compared, each at its own σ.
     """
 
     floor: float
     least_unmatched: float
-    step: float
+    relative_rmse: float
     judged_unmatched: float = 0.1
 
 
@@ -87,7 +88,7 @@ def run_starts(
         (2.0 * math.pi * LOG2_SCALE) ** half / volume,
         limits.judged_unmatched,
         (limits.floor, limits.least_unmatched, MOST_UNMATCHED),
-        limits.step,
+        limits.relative_rmse,
         ends,
         history,
     )

@@ -130,12 +130,12 @@ def _build(stamp):
     """The kernel that is called from Python; `stamp` keeps its cache fresh."""
 
     @njit(**KERNEL_FLAGS)
-    def search(poses, starts, source, target, kind, world, judged, bounds, step, ends, history):
+    def search(poses, starts, source, target, kind, world, judged, bounds, relative_rmse, ends, history):
         """Run every start; `poses` (S, 12) move, `ends` (S, END_COLUMNS) tell where they came to.
 
         world : density of a uniform mixture of all points.   judged : unmatched share at which the likelihoods of the
-        ends are taken, each at its own σ.   kind : (planar, isotropic).   bounds : (floor of σ, least, greatest unmatched share).   step : a start is
-        done when ‖δ‖ is below and σ has settled.   history : (S, most iterations, HISTORY_COLUMNS).
+        ends are taken, each at its own σ.   kind : (planar, isotropic).   bounds : (floor of σ, least, greatest unmatched share).
+        relative_rmse : a start is done when ‖δ‖² is below this share of σ and σ has settled.   history : (S, most iterations, HISTORY_COLUMNS).
         """
         _ = stamp
         floor, least, greatest = bounds
@@ -176,7 +176,7 @@ def _build(stamp):
                 moved = 0.0
                 for i in range(TURN_AND_SHIFT):
                     moved += residual[i] * residual[i]
-                still = moved <= step * step and abs(new - sigma) < 0.01 * sigma
+                still = moved <= relative_rmse * sigma and abs(new - sigma) < 0.01 * sigma
                 residual[LOG_SIGMA] = math.log(new / sigma)
                 residual[UNMATCHED_SHARE] = min(max(1.0 - total[TOTAL_MATCHED], least), greatest) - unmatched
                 if new > wanted:

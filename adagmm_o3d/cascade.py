@@ -19,6 +19,7 @@ from .em import Criteria, Outcome, expectation_maximisation
 from .expectation import FASTEST, LEAST_UNMATCHED, SIGMA_FLOOR, PosteriorExpectation
 from .mixture import Mixture
 from .neighbors import NeighborIndex
+from .order_statistics import quantile
 from .pairs import Pairs
 from .pose_covariance import Fit
 from .result import StopReason
@@ -70,7 +71,7 @@ class Cascade:
 
     def is_tight(self, end: End) -> bool:
         """Whether the residuals of an end are so small beside the spacing of the points that it must be right."""
-        variance = sum(float(np.median(m.variances())) for m in (self.source, self.target))
+        variance = sum(float(quantile(m.variances, 0.5)) for m in (self.source, self.target))
         return math.sqrt(end.sigma * variance) <= TIGHT * _spacing(self.target)
 
     def search(self, starts: list[Start], trusted: tuple[End, End]) -> list[End]:
@@ -170,4 +171,4 @@ def _spacing(mixture: Mixture) -> float:
     probes = np.linspace(0, len(points) - 1, min(PROBES, len(points))).astype(np.intp)
     flat = np.ascontiguousarray(points[:, : mixture.dimension])
     nearest = NeighborIndex(flat).query(flat[probes], 2)[1][:, 1]
-    return float(np.sqrt(np.median(nearest))) * thinning
+    return math.sqrt(quantile(nearest, 0.5)) * thinning

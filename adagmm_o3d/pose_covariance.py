@@ -189,7 +189,7 @@ class _Side:
 
 def _side(mixture: Mixture, fit: Fit, pose: Array, weights: Array, axis: int) -> _Side:
     """The components of a mixture that are not flagged as outliers, at `pose`, in the order of a coordinate."""
-    index = np.flatnonzero(mixture.variances() <= FLAGGED)
+    index = np.flatnonzero(mixture.variances <= FLAGGED)
     points = mixture.points[index] @ pose[:3, :3].T + pose[:3, 3]
     order = np.argsort(points[:, axis], kind="stable")
     index, points = index[order], points[order]
@@ -197,7 +197,7 @@ def _side(mixture: Mixture, fit: Fit, pose: Array, weights: Array, axis: int) ->
     return _Side(
         points,
         np.stack([covariances[:, i, j] for i, j in PACKED], axis=1),
-        fit.sigma * mixture.largest_variances()[index],
+        fit.sigma * mixture.largest_variances[index],
         weights[index],
         index,
     )

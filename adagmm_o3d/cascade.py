@@ -26,19 +26,21 @@ from .result import StopReason
 from .start_search import End, Limits, Start, distinct, joined, pose_distance, run_starts
 from .trace import Iteration
 
-# Components of the coarsest level, points of the one that ranks the search, and of the one that decides. Clouds of up
-# to SMALL points decide with all of them; a search among small clouds does better on a part (heavy noise above all).
-MERGED, RANKING, DECIDING, SMALL, SMALL_DECIDING = 200, 400, 1000, 1100, 500
+# Components of the level on which a search tries its many starts and of the one on which few go on, points of the one
+# that ranks those, and of the one that decides. Clouds of up to SMALL points decide with all of them; a search among
+# small clouds does better on a part (heavy noise above all).
+SKETCHED, MERGED, RANKING, DECIDING, SMALL, SMALL_DECIDING = 64, 200, 400, 1000, 1100, 500
 # How far EM goes on each: what so many components can tell.
 MERGED_LIMITS = Limits(floor=2e-3, least_unmatched=0.05, relative_rmse=5e-4)
 RANKING_LIMITS = Limits(floor=1e-3, least_unmatched=0.05, relative_rmse=1e-3)
 DECIDING_LIMITS = Limits(floor=SIGMA_FLOOR, least_unmatched=0.15, relative_rmse=4e-4)
 # How many candidates go on from a level, and how far apart they have to be (see `pose_distance`).
-KEPT_MERGED, APART_MERGED = 4, 0.12
+KEPT_SKETCHED, KEPT_MERGED, APART_MERGED = 8, 4, 0.12
 KEPT_RANKING, APART_RANKING = 2, 0.04
 APART_DECIDING = 0.02
-# Residuals within half the distance between neighbouring points are no coincidence: no search is needed.
-TIGHT = 0.5
+# Residuals within half the distance between neighbouring points are no coincidence where most points have a partner:
+# no search is needed. Of a part of the points that much is found in many poses.
+TIGHT, TIGHT_UNMATCHED = 0.5, 0.25
 PROBES = 150
 SPACING_FROM = 20_000
 
@@ -71,6 +73,8 @@ class Cascade:
 
     def is_tight(self, end: End) -> bool:
         """Whether the residuals of an end are so small beside the spacing of the points that it must be right."""
+        if end.unmatched > TIGHT_UNMATCHED:
+            return False
         variance = sum(float(quantile(m.variances, 0.5)) for m in (self.source, self.target))
         return math.sqrt(end.sigma * variance) <= TIGHT * _spacing(self.target)
 
@@ -81,7 +85,17 @@ class Cascade:
         if self.small:
             size = SMALL_DECIDING
             decided = self._decide([merged], size)[0]
-        ends = self._run_merged(starts)
+        sketched = run_starts(
+            merge(self.source, SKETCHED),
+            merge(self.target, SKETCHED),
+            starts,
+            limits=MERGED_LIMITS,
+            volume=self.volume,
+            level=0,
+        )
+        sketched = distinct(sketched, KEPT_SKETCHED, APART_MERGED)
+        again = [Start(end.pose, 2.0 * MERGED_LIMITS.floor, end.unmatched, 0.65, 4, follow=0.0) for end in sketched]
+        ends = joined(sketched, self._run_merged(again))
         kept = [end for end in distinct([merged, *ends], KEPT_MERGED, APART_MERGED) if end is not merged]
         again = [Start(end.pose, 2.0 * MERGED_LIMITS.floor, end.unmatched, 0.65, 6, follow=0.0) for end in kept]
         ranked = run_starts(

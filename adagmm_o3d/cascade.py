@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from .arguments import Array
-from .coarse import MergedMixture, merge, sample
+from .coarse import MergedMixture, count_certain, merge, sample
 from .em import Criteria, Outcome, expectation_maximisation
 from .expectation import FASTEST, LEAST_UNMATCHED, SIGMA_FLOOR, PosteriorExpectation
 from .mixture import Mixture
@@ -49,12 +49,13 @@ class Cascade:
     """Two normalised mixtures and their coarser levels, each made when it is first needed.
 
     volume : that over which points without a partner are spread, see `expectation.OPEN_VOLUME`.
+    small : whether all points decide; those flagged as outliers, which carry no weight, do not count.
     """
 
     def __init__(self, source: Mixture, target: Mixture, volume: float) -> None:
         self.source, self.target, self.volume = source, target, volume
         self._samples: dict[int, tuple[MergedMixture, MergedMixture]] = {}
-        self.small = max(len(source), len(target)) <= SMALL
+        self.small = max(count_certain(source), count_certain(target)) <= SMALL
 
     @cached_property
     def _merged(self) -> tuple[MergedMixture, MergedMixture]:

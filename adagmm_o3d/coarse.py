@@ -132,6 +132,11 @@ def sample(mixture: Mixture, count: int) -> MergedMixture:
     )
 
 
+def count_certain(mixture: Mixture) -> int:
+    """How many components are not flagged as outliers."""
+    return int((mixture.variances <= FLAGGED).sum())
+
+
 def _certain(mixture: Mixture, count: int) -> NDArray[np.intp]:
     """At most `count` indices of components that are not flagged as outliers."""
     keep = np.flatnonzero(mixture.variances <= FLAGGED)

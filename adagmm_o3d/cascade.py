@@ -141,7 +141,7 @@ class Cascade:
     ) -> tuple[Outcome, Fit]:
         """`refine` without a return to Python, which would cost small clouds more than their pairs do."""
         start = Start(end.pose, end.sigma, end.unmatched, FASTEST, criteria.max_iteration, follow=1.0)
-        limits = Limits(SIGMA_FLOOR, LEAST_UNMATCHED, criteria.relative_rmse)
+        limits = Limits(SIGMA_FLOOR, LEAST_UNMATCHED, criteria.relative_rmse, accelerated=True)
         refined = run_starts(*self._sampled(SMALL), [start], limits=limits, volume=self.volume, level=3)[0]
         if observe is not None:
             for iteration in refined.iterations:

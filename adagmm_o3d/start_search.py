@@ -36,12 +36,14 @@ class Limits:
     """How far EM goes on a level.
 
     floor : least σ.   least_unmatched : least share of points without a partner.   relative_rmse : as in
-    `em.Criteria`.
+    `em.Criteria`.   accelerated : whether steps are extrapolated. A long step may end in another optimum than the one
+    that its start leads to, so not where ends are still compared.
     """
 
     floor: float
     least_unmatched: float
     relative_rmse: float
+    accelerated: bool = False
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,7 @@ def run_starts(
         (2.0 * math.pi * LOG2_SCALE) ** half / volume,
         (limits.floor, limits.least_unmatched, MOST_UNMATCHED),
         limits.relative_rmse,
+        limits.accelerated,
         ends,
         history,
     )

@@ -130,12 +130,12 @@ def _build(stamp):
     """The kernel that is called from Python; `stamp` keeps its cache fresh."""
 
     @njit(**KERNEL_FLAGS)
-    def search(poses, starts, source, target, kind, world, bounds, relative_rmse, ends, history):
+    def search(poses, starts, source, target, kind, world, bounds, relative_rmse, accelerated, ends, history):
         """Run every start; `poses` (S, 12) move, `ends` (S, END_COLUMNS) tell where they came to.
 
         kind : (planar, isotropic).   world : density of a uniform mixture of all points.   bounds : (floor of σ, least,
         greatest unmatched share).   relative_rmse : a start is done when ‖δ‖² is below this share of σ and σ has
-        settled.   history : (S, most iterations, HISTORY_COLUMNS).
+        settled.   accelerated : see `acceleration`.   history : (S, most iterations, HISTORY_COLUMNS).
         """
         _ = stamp
         floor, least, greatest = bounds
@@ -179,7 +179,7 @@ def _build(stamp):
                 still = moved <= relative_rmse * sigma and abs(new - sigma) < 0.01 * sigma
                 residual[LOG_SIGMA] = math.log(new / sigma)
                 residual[UNMATCHED_SHARE] = min(max(1.0 - total[TOTAL_MATCHED], least), greatest) - unmatched
-                if new > wanted:
+                if new > wanted or not accelerated:
                     forget(memory)
                     taken[:] = residual
                 else:

@@ -36,7 +36,8 @@ class MergedMixture:
 def merge(mixture: Mixture, count: int) -> MergedMixture:
     """At most `count` components with the moments of those they stand for; vague ones are left out."""
     keep = _certain(mixture, MERGE_FROM)
-    points, covariances, weights = mixture.points[keep], mixture.covariances[keep], mixture.weights[keep]
+    part = mixture.take(keep)
+    points, covariances, weights = part.points, part.covariances, part.weights
     if len(points) <= count:
         return MergedMixture(
             points, covariances, np.zeros_like(covariances), weights / weights.sum(), mixture.dimension
@@ -59,13 +60,12 @@ def merge(mixture: Mixture, count: int) -> MergedMixture:
 
 def sample(mixture: Mixture, count: int) -> MergedMixture:
     """At most `count` of the mixture's own components, chosen at random with a fixed seed; vague ones are left out."""
-    keep = _certain(mixture, count)
-    covariances, weights = mixture.covariances[keep], mixture.weights[keep]
+    part = mixture.take(_certain(mixture, count))
     return MergedMixture(
-        mixture.points[keep],
-        covariances,
-        np.zeros_like(covariances),
-        weights / weights.sum(),
+        part.points,
+        part.covariances,
+        np.zeros_like(part.covariances),
+        part.weights / part.weights.sum(),
         mixture.dimension,
         mixture.isotropic,
     )

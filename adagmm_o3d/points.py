@@ -15,7 +15,7 @@ from . import starts
 from .arguments import Array
 from .cascade import SMALL, Cascade
 from .conclusion import conclude, lower
-from .em import expectation_maximisation
+from .em import Criteria, expectation_maximisation
 from .errors import InputError
 from .expectation import CLOSE_VOLUME, OPEN_VOLUME, AdaptiveExpectation
 from .global_search import is_ambiguous, search_globally
@@ -91,6 +91,19 @@ def register_points(
         raise InputError(
             f"target.points: expected shape (n, {moving.dimension}) as the source has, got (n, {fixed.dimension})"
         )
+    return register_mixtures(moving, fixed, init, method, limits, device, callback)
+
+
+def register_mixtures(
+    moving: Mixture,
+    fixed: Mixture,
+    init: ArrayLike | str | None,
+    method: TransformationEstimationForAdaptiveGMM,
+    limits: Criteria,
+    device: str,
+    callback: Observer | None,
+) -> PointRegistrationResult:
+    """Register the mixtures as they came through the door, wherever they lie; see `register_points`."""
     dimension = moving.dimension
     moving, fixed, normalisation = normalise(moving, fixed)
     observe = _observer(callback, normalisation, dimension)

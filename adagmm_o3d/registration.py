@@ -135,7 +135,8 @@ def _check_legacy(source: Any, target: Any) -> None:
 
 
 def _thinned(name: str, cloud: o3d.geometry.PointCloud, voxel_size: float) -> o3d.geometry.PointCloud:
-    check_voxel_size(name, np.asarray(cloud.points), voxel_size)
+    if len(cloud.points):
+        check_voxel_size(name, cloud.get_min_bound(), cloud.get_max_bound(), voxel_size)
     return cloud.voxel_down_sample(voxel_size)
 
 

@@ -33,6 +33,8 @@ def check_device(device: str) -> None:
 def make_pair_loop(source: Mixture, target: Mixture, device: str) -> PairLoop | CudaPairLoop:
     """The pairs of two mixtures on the device asked for; "auto" takes a GPU where there is one and enough to do."""
     check_device(device)
+    if source.on_device:
+        device = "cuda"
     automatic = device == "auto" and len(source) * len(target) >= CROSSING_PAIRS
     if automatic:
         _say_once(obstacle())

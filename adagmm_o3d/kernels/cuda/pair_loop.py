@@ -1,6 +1,6 @@
 """Two mixtures on the GPU, and one pass over all their pairs: the twin of `kernels.pair_loop.PairLoop`.
 
-Points and matrices are uploaded once. A pass sends a pose and a few numbers, and gets TOTAL_SUMS or a few more back;
+Points and matrices are brought into tiles once. A pass sends a pose and a few numbers, and gets TOTAL_SUMS or a few more back;
 what there is for every point stays on the device until it is read.
 """
 
@@ -16,12 +16,13 @@ from ...arguments import Array
 from ...mixture import Mixture
 from ..compiling import LOG2_SCALE
 from ..layout import GRADIENT, HESSIAN, TOTAL_ENERGY, TOTAL_LIKELIHOOD, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
-from ..pair_loop import PairSums, PosteriorSums, Side, symmetric, total_of
+from ..pair_loop import PairSums, PosteriorSums, symmetric, total_of
 from . import adaptive_rows, convolved_columns, convolved_rows, moving, nearest, reductions
 from .front_end import TILE, cuda
 from .held import Held, Turn, upload
 from .reductions import COLUMN_LIKELIHOOD, COLUMN_MATCHED, COLUMN_SUMS
-from .tiles import boxes, point_tiles, tiled
+from .sides import make_side
+from .tiles import tiled
 
 # Blocks that fill a large GPU; few tiles on one side are made up for by cutting the other into up to MOST_SHARES.
 WANTED_BLOCKS = 2048
@@ -100,11 +101,9 @@ class CudaPairLoop:
         isotropic = source.isotropic and target.isotropic
         self._kernels = ISOTROPIC if isotropic else ANISOTROPIC
         self._flat = source.dimension == 2
-        self._source, self._target = Side(source, isotropic), Side(target, isotropic)
-        self._source_boxes, self._target_boxes = (
-            upload(boxes(side.points, side.variances, side.bits)) for side in (self._source, self._target)
-        )
-        self._source_tiles, self._target_tiles = len(self._source_boxes), len(self._target_boxes)
+        self._source, self._target = make_side(source, isotropic), make_side(target, isotropic)
+        self._source_boxes, self._target_boxes = self._source.boxes, self._target.boxes
+        self._source_tiles, self._target_tiles = self._source_boxes.shape[0], self._target_boxes.shape[0]
         self._row_shares = _shares(self._source_tiles, self._target_tiles)
         self._column_shares = _shares(self._target_tiles, self._source_tiles)
         m, n = self._source_tiles * TILE, self._target_tiles * TILE
@@ -231,22 +230,13 @@ class CudaPairLoop:
     def _precisions(self) -> tuple[Any, Any, Any]:
         """Tiles of source and target with their precisions, and the source's amplitudes."""
         source, target = self._source, self._target
-        return (
-            upload(point_tiles(source.points, source.amplitudes, source.precisions())),
-            upload(point_tiles(target.points, target.amplitudes, target.precisions())),
-            upload(tiled(source.amplitudes.astype(np.float64), 0.0)),
-        )
+        return source.precision_tiles(), target.precision_tiles(), source.amplitude_tiles()
 
     @cached_property
     def _covariances(self) -> tuple[Any, Any, Any, Any]:
         """Tiles of source and target with their covariances, and the weights of either."""
         source, target = self._source, self._target
-        return (
-            upload(point_tiles(source.points, source.weights32, source.covariances())),
-            upload(point_tiles(target.points, target.weights32, target.covariances())),
-            upload(tiled(source.weights, 0.0)),
-            upload(tiled(target.weights, 0.0)),
-        )
+        return source.covariance_tiles(), target.covariance_tiles(), source.weight_tiles(), target.weight_tiles()
 
     @cached_property
     def _nearest_parts(self) -> Any:

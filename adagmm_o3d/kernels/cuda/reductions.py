@@ -77,10 +77,8 @@ def store_normal_equations(sums, t, terms):
 
 
 @exact
-def reduce_tile(sums, count, tile, partials):
-    """Add up the `count` sums of the threads of a block, each in the order of the points."""
-    t = cuda.threadIdx.x
-    cuda.syncthreads()
+def reduce_tile(sums, count, t, tile, partials):
+    """Thread t's part in adding up the `count` sums of a block's threads, each in the order of the points."""
     for i in range(t, count, TILE):
         total = 0.0
         for k in range(TILE):
@@ -133,7 +131,8 @@ def _build_adaptive(isotropic, stamp):
         sums[TOTAL_LIKELIHOOD, t] = 0.0
         sums[TOTAL_MATCHED, t] = 0.0
         row_weights[m] = w
-        reduce_tile(sums, TOTAL_SUMS, tile, partials)
+        cuda.syncthreads()
+        reduce_tile(sums, TOTAL_SUMS, t, tile, partials)
 
     return reduce_adaptive
 
@@ -178,7 +177,8 @@ def _build_convolved(stamp):
         sums[TOTAL_LIKELIHOOD, t] = weight * math.log1p(density / uniform)
         sums[TOTAL_MATCHED, t] = weight * density * posterior
         posteriors[m] = density * posterior
-        reduce_tile(sums, TOTAL_SUMS, tile, partials)
+        cuda.syncthreads()
+        reduce_tile(sums, TOTAL_SUMS, t, tile, partials)
 
     return reduce_convolved
 
@@ -205,7 +205,8 @@ def _build_columns(stamp):
         densities32[tile, t] = density
         sums[COLUMN_LIKELIHOOD, t] = weights[tile, t] * math.log1p(density / uniform)
         sums[COLUMN_MATCHED, t] = weights[tile, t] * density / (density + uniform)
-        reduce_tile(sums, COLUMN_SUMS, tile, partials)
+        cuda.syncthreads()
+        reduce_tile(sums, COLUMN_SUMS, t, tile, partials)
 
     return reduce_columns
 

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arguments import Array, float_array
-from .errors import DegenerateError, InputError
+from .cloud_checks import (
+    check_count,
+    check_not_empty,
+    check_spread,
+    check_usable,
+    refuse_crooked,
+    refuse_indefinite,
+    refuse_points,
+)
+from .errors import InputError
 
-MIN_POINTS = 3
-# A sensor model may fail at a point now and then (the Kinect data has one in thousands); more is a mistake upstream.
-MAX_NONFINITE_SHARE = 0.01
 # Half of all points may be flagged outliers: the unit of variance is that of a point among the best.
 GOOD_PERCENTILE = 12.5
 # A variance this many times the unit is a flag more than a measurement.
@@ -28,12 +33,8 @@ SKEW, LEAST_POSITIVE = 1e-5, 1e-12
 BULK, FINEST = 0.9, 1e-3
 # Of larger clouds that many points are asked for it.
 BULK_FROM = 20_000
-# Points of which the spread is measured exactly, see `check_spread`.
-FEW_POINTS = 50
 # Clouds this many radii apart do not see each other, and float32 has no digits for more.
 FARTHEST = 1e4
-# Squares of coordinates [input units] must neither overflow nor vanish.
-LARGEST_COORDINATE, SMALLEST_EXTENT = 1e140, 1e-140
 PACKED = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
@@ -163,49 +164,6 @@ def make_mixture(
     return Mixture(np.ascontiguousarray(p), np.ascontiguousarray(c), w, dimension, isotropic, usable)
 
 
-def check_not_empty(name: str, count: int) -> None:
-    if count == 0:
-        raise InputError(f"{name}.points: the cloud is empty; registration needs at least {MIN_POINTS} points")
-
-
-def refuse_points(name: str, bad: NDArray[np.integer], count: int) -> NoReturn:
-    """Raise for the `bad` among so many points, which are not finite."""
-    raise InputError(
-        f"{name}.points: {len(bad)} of {count} points are not finite, the first at index {bad[0]}; "
-        "remove them first, e.g. with PointCloud.remove_non_finite_points()"
-    )
-
-
-def check_usable(name: str, usable: NDArray[np.bool_]) -> None:
-    """Raise if too many covariances are not finite."""
-    dropped = int(len(usable) - usable.sum())
-    if dropped > MAX_NONFINITE_SHARE * len(usable):
-        first = int(np.flatnonzero(~usable)[0])
-        raise InputError(
-            f"{name}.covariances: {dropped} of {len(usable)} are not finite, the first at index {first}; "
-            f"at most {MAX_NONFINITE_SHARE:.0%} may be (those points are ignored)"
-        )
-
-
-def refuse_crooked(name: str, bad: NDArray[np.integer]) -> NoReturn:
-    """Raise for covariances that are not symmetric."""
-    raise InputError(f"{name}.covariances: not symmetric at index {bad[0]} ({len(bad)} in all)")
-
-
-def refuse_indefinite(name: str, bad: NDArray[np.integer]) -> NoReturn:
-    """Raise for covariances that are not positive definite."""
-    raise InputError(
-        f"{name}.covariances: not positive definite at index {bad[0]} ({len(bad)} in all); "
-        "add a small multiple of the identity"
-    )
-
-
-def check_count(name: str, count: int) -> None:
-    """Raise if too few points are left."""
-    if count < MIN_POINTS:
-        raise DegenerateError(f"{name}.points: {count} points cannot fix a pose; at least {MIN_POINTS} are needed")
-
-
 def _check_covariances(name: str, covariances: ArrayLike | None, n: int, dimension: int) -> Array:
     if covariances is None:
         return np.broadcast_to(np.eye(dimension), (n, dimension, dimension)).copy()
@@ -254,46 +212,6 @@ def _thickened(c: Array) -> Array:
     variances, axes = np.linalg.eigh(c)
     variances = np.maximum(variances, THINNEST * variances[:, -1:])
     return (axes * variances[:, None, :]) @ axes.transpose(0, 2, 1)
-
-
-def check_spread(name: str, p: Array) -> None:
-    """Points in one place leave the rotation free; in 3D so do points on one line."""
-    largest = float(np.abs(p).max())
-    check_largest(name, largest)
-    centred = p - p[0]
-    centred -= centred.mean(axis=0)
-    extent = float(np.abs(centred).max())
-    check_extent(name, extent)
-    centred /= max(extent, SMALLEST_EXTENT)
-    # Squared singular values would lose a thin direction beside rounding, but are much cheaper for many points.
-    spread = np.linalg.svd(centred, compute_uv=False) if len(p) < FEW_POINTS else spread_of(centred.T @ centred)
-    check_rank(name, spread, len(p), largest / max(extent, SMALLEST_EXTENT))
-
-
-def check_largest(name: str, largest: float) -> None:
-    """Raise if the squares of the largest coordinate [input units] overflow."""
-    if largest > LARGEST_COORDINATE:
-        raise InputError(f"{name}.points: expected coordinates up to {LARGEST_COORDINATE:g}, got {largest:g}; rescale")
-
-
-def check_extent(name: str, extent: float) -> None:
-    """Raise if the squares of the largest distance from the mean along an axis [input units] vanish."""
-    if 0.0 < extent < SMALLEST_EXTENT:
-        raise InputError(f"{name}.points: expected an extent of {SMALLEST_EXTENT:g} or more, got {extent:g}; rescale")
-
-
-def spread_of(scatter: Array) -> Array:
-    """(D,) descending singular values of the offsets whose products add up to `scatter` (D, D)."""
-    return np.sqrt(np.maximum(np.linalg.eigvalsh(scatter)[::-1], 0.0))
-
-
-def check_rank(name: str, spread: Array, count: int, distance: float) -> None:
-    """Raise unless the singular values of so many offsets, `distance` extents from the origin, stand out of rounding."""
-    rounding = 4.0 * np.finfo(float).eps * math.sqrt(count) * distance
-    rank = int((spread > max(1e-7 * spread[0], rounding)).sum())
-    if rank < len(spread) - 1:
-        shape = "in one place" if rank == 0 else "on one line"
-        raise DegenerateError(f"{name}.points: all {count} points are {shape}; a pose cannot be found")
 
 
 def _lift(p: Array, c: Array) -> tuple[Array, Array]:

@@ -79,9 +79,14 @@ def register_tensor_clouds(
     return result
 
 
+def lies_on_gpu(cloud: TensorCloud) -> bool:
+    """Whether the cloud's memory is that of a CUDA device."""
+    return bool(cloud.is_cuda)
+
+
 def _stays_in_place(cloud: TensorCloud, device: str) -> bool:
     """Whether the clouds lie on a GPU and are registered there, as they are unless device="cpu" asks otherwise."""
-    if not cloud.is_cuda or device == "cpu":
+    if not lies_on_gpu(cloud) or device == "cpu":
         return False
     check_device(device)
     if (reason := obstacle()) is not None:

@@ -22,6 +22,7 @@ from adagmm_o3d.kernels.cuda import (
     nearest,
     packing,
     reductions,
+    scores,
     summing,
     surface,
 )
@@ -50,6 +51,7 @@ NARROW, WIDE = (BOXES, POINTS, TABLE, array(uint8, 1)), (TABLE, SUMS, TABLE, arr
 CENTRE, INDEX = types.UniTuple(float64, 3), array(int32, 1)
 FRAME = (CENTRE, float64, float64, float64, float64)
 PACK = (TABLE, INDEX, *FRAME, BOXES, BOXES, POINTS, BOXES)
+SCORES = (BOXES, POINTS, BOXES, float32, float32, BOXES, BOXES, float32, TABLE)
 KERNELS = [
     (moving.move_isotropic, MOVE),
     (moving.move_anisotropic, MOVE),
@@ -78,6 +80,10 @@ KERNELS = [
     (packing.pack_precisions, PACK),
     (packing.pack_covariances_isotropic, PACK),
     (packing.pack_covariances, PACK),
+    (scores.score_sums_of_source_isotropic, SCORES),
+    (scores.score_sums_of_source, SCORES),
+    (scores.score_sums_of_target_isotropic, SCORES),
+    (scores.score_sums_of_target, SCORES),
     (surface.point_boxes, (TABLE, TABLE)),
     (surface.surface_covariances, (TABLE, TABLE, INDEX, TABLE)),
 ]
@@ -86,7 +92,15 @@ NAMES += ["columns isotropic", "columns", "nearest", "reduce adaptive isotropic"
 NAMES += ["reduce convolved", "reduce columns", "reduce nearest", "total"]
 NAMES += ["inspect float32", "inspect float64", "inspect bare float32", "inspect bare float64", "bounds", "moments"]
 NAMES += ["codes", "gather", "pack precisions isotropic", "pack precisions", "pack covariances isotropic"]
-NAMES += ["pack covariances", "point boxes", "surface"]
+NAMES += [
+    "pack covariances",
+    "scores of source isotropic",
+    "scores of source",
+    "scores of target isotropic",
+    "scores of target",
+    "point boxes",
+    "surface",
+]
 
 
 @pytest.mark.parametrize("capability", CAPABILITIES, ids=lambda c: "sm_{}{}".format(*c))
@@ -108,7 +122,7 @@ def test_kernel_compiles_and_keeps_to_its_registers(kernel, signature, capabilit
 
 def test_every_kernel_of_the_package_is_in_the_list():
     modules = (adaptive_rows, convolved_columns, convolved_rows, moving, nearest, reductions)
-    modules += (inspecting, packing, summing, surface)
+    modules += (inspecting, packing, scores, summing, surface)
     dispatcher = type(reductions.total)
     launched = {
         id(value)

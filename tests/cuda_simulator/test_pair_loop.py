@@ -137,6 +137,25 @@ def test_vectors_on_the_device_do_not_change_when_their_buffers_are_used_again()
     np.testing.assert_array_equal(1.0 / (held[1][1] + 0.05), 1.0 / (read_at_once[3] + 0.05))
 
 
+def test_the_target_is_asked_only_when_somebody_wants_to_know(monkeypatch):
+    case = Case(10, TILE + 1, TILE + 2, 3, isotropic=False)
+    expected, columns = case.cpu_loop().posterior_sums(case.lifted, 0.2, 0.05)
+    loop, asked = case.cuda_loop(), []
+    launch = loop.launch_convolved_columns
+    monkeypatch.setattr(loop, "launch_convolved_columns", lambda sigma: (asked.append(sigma), launch(sigma)))
+    sums, late = loop.posterior_sums(case.lifted, 0.2, 0.05)
+    check_same(sums, expected)
+    assert asked == []
+    loop.sums(np.eye(4), 0.7, 0.7)  # the source is elsewhere when the answer is wanted
+    np.testing.assert_allclose(sums.target_overlap, expected.target_overlap, rtol=1e-6, atol=0)
+    np.testing.assert_allclose(sums.log_likelihood, expected.log_likelihood, rtol=1e-6, atol=0)
+    np.testing.assert_allclose(np.asarray(late), columns, rtol=2e-6, atol=1e-9)
+    assert asked == [0.2]
+    # weights that need the answer of this pass need that of the next as well
+    loop.posterior_sums(case.lifted, 0.1, 0.05, late, 0.5)
+    assert asked == [0.2, 0.1]
+
+
 def vectors(pair):
     sums, columns = pair
     return sums.row_weights, np.asarray(columns)

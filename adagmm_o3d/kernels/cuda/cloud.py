@@ -1,4 +1,4 @@
-"""A cloud that lies on the device as a mixture: checked and normalised there, seen from the host only where it has to be.
+"""A cloud that lies on the device as a mixture: checked and normalised there, the host sees only what it has to.
 
 What leaves the device for every point is a byte of findings, one variance and a place on a curve: no point and no
 covariance does, but those that the coarse levels choose.
@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...arguments import Array
-from ...mixture import (
+from ...cloud_checks import (
     FEW_POINTS,
-    VARIANCE_RANGE,
-    Mixture,
     check_count,
     check_extent,
     check_largest,
@@ -30,6 +28,7 @@ from ...mixture import (
     refuse_points,
     spread_of,
 )
+from ...mixture import VARIANCE_RANGE, Mixture
 from ...uncertainty.surface import check_count as check_surface_count
 from . import inspecting, packing, summing, surface
 from .front_end import TILE, cuda
@@ -40,8 +39,10 @@ SQUARE = np.array([0, 1, 2, 1, 3, 4, 2, 4, 5])  # a packed matrix unfolded
 
 
 class Frame(NamedTuple):
-    """How a table's points and covariances are to be read, see `mixture.Normalisation`; (least, most) bound the relative
-    variances."""
+    """How a table's points and covariances are to be read, see `mixture.Normalisation`.
+
+    least, most : the bounds of relative variances.
+    """
 
     centre: tuple[float, float, float]
     scale: float
@@ -59,6 +60,11 @@ class DeviceMixture(Mixture):
     table : (POINT_ROWS, n) float64 on the device, see `inspecting`.   raw : (n,) its variances on the host.
     relative : (n,) the variances in the frame.
     """
+
+    table: Any
+    frame: Frame
+    _raw: Array
+    _relative: Array
 
     def __init__(
         self, table: Any, isotropic: bool, kept: NDArray[np.bool_], raw: Array, relative: Array, frame: Frame
@@ -91,7 +97,7 @@ class DeviceMixture(Mixture):
 
     def take(self, index: NDArray[np.integer] | NDArray[np.bool_]) -> Mixture:
         """The mixture of the chosen components, on the host."""
-        index = np.flatnonzero(index) if index.dtype == bool else index
+        index = np.arange(len(self))[index]
         chosen = self._chosen(index, VARIANCE)
         factors = self._relative[index] / (self._raw[index] / self.frame.unit) / self.frame.unit
         covariances = (chosen[COVARIANCE:VARIANCE] * factors)[SQUARE].T.reshape(-1, 3, 3)
@@ -177,7 +183,7 @@ def device_mixture(name: str, positions: Any, covariances: Any | None) -> Device
 
 
 def curve_order(table: Any, frame: Frame, bounds: Array, last: NDArray[np.bool_] | None = None) -> NDArray[np.int32]:
-    """(n,) the order of a table's points along a Z-curve, as `kernels.tiles.morton_order`; `bounds` are in the frame."""
+    """(n,) a table's points in the order of a Z-curve, see `kernels.tiles.morton_order`; `bounds` are in the frame."""
     extent = float((bounds[1] - bounds[0]).max()) or 1.0
     codes = cuda.device_array(table.shape[1], np.uint32)
     low = tuple(float(x) for x in bounds[0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,8 @@ from ...arguments import Array
 from .front_end import cuda
 
 
-class Held(NDArrayOperatorsMixin):
-    """(n,) float64 on the device in the kernels' order; NumPy sees it on the host in the mixture's order.
+class Held:
+    """(n,) float64 on the device in the kernels' order; on the host it is in the mixture's order.
 
     The buffers under it are used in turn. One that is needed again while its vector is still alive is read first, so a
     vector never changes.
@@ -41,9 +42,33 @@ class Held(NDArrayOperatorsMixin):
         values = self.read()
         return values.copy() if dtype is None else values.astype(dtype)
 
+
+class Late(NDArrayOperatorsMixin):
+    """A vector with its totals that is worked out when one of them is first asked for."""
+
+    def __init__(self, work_out: Callable[[], tuple[Held, Array]]) -> None:
+        self._work_out = work_out
+
+    @cached_property
+    def _found(self) -> tuple[Held, Array]:
+        return self._work_out()
+
+    @property
+    def held(self) -> Held:
+        """The vector on the device."""
+        return self._found[0]
+
+    @property
+    def totals(self) -> Array:
+        """What it adds up to."""
+        return self._found[1]
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
+        return self.held.__array__(dtype, copy)
+
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **settings: Any) -> Any:
         """Arithmetic is done on the host."""
-        return getattr(ufunc, method)(*(v.read() if isinstance(v, Held) else v for v in inputs), **settings)
+        return getattr(ufunc, method)(*(v.held.read() if isinstance(v, Late) else v for v in inputs), **settings)
 
 
 class Turn:

@@ -65,7 +65,11 @@ def _build(given, stamp):
                 elif size == 0.0:
                     found = NOT_POSITIVE
             if found == FINE:
-                c00, c11, c22 = float64(covariances[i, 0, 0]), float64(covariances[i, 1, 1]), float64(covariances[i, 2, 2])
+                c00, c11, c22 = (
+                    float64(covariances[i, 0, 0]),
+                    float64(covariances[i, 1, 1]),
+                    float64(covariances[i, 2, 2]),
+                )
                 c01 = 0.5 * float64(covariances[i, 0, 1]) + 0.5 * float64(covariances[i, 1, 0])
                 c02 = 0.5 * float64(covariances[i, 0, 2]) + 0.5 * float64(covariances[i, 2, 0])
                 c12 = 0.5 * float64(covariances[i, 1, 2]) + 0.5 * float64(covariances[i, 2, 1])

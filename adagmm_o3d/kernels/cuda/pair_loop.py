@@ -1,7 +1,7 @@
 """Two mixtures on the GPU, and one pass over all their pairs: the twin of `kernels.pair_loop.PairLoop`.
 
-Points and matrices are brought into tiles once. A pass sends a pose and a few numbers, and gets TOTAL_SUMS or a few more back;
-what there is for every point stays on the device until it is read.
+Points and matrices are brought into tiles once. A pass sends a pose and a few numbers, and gets TOTAL_SUMS or a few
+more back; what there is for every point stays on the device until it is read.
 """
 
 from __future__ import annotations
@@ -10,16 +10,16 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ...arguments import Array
 from ...mixture import Mixture
 from ..compiling import LOG2_SCALE
 from ..layout import GRADIENT, HESSIAN, TOTAL_ENERGY, TOTAL_LIKELIHOOD, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
 from ..pair_loop import PairSums, PosteriorSums, symmetric, total_of
-from . import adaptive_rows, convolved_columns, convolved_rows, moving, nearest, reductions
+from . import adaptive_rows, convolved_columns, convolved_rows, moving, nearest, reductions, scores
 from .front_end import TILE, cuda
-from .held import Held, Turn, upload
+from .held import Held, Late, Turn, upload
 from .reductions import COLUMN_LIKELIHOOD, COLUMN_MATCHED, COLUMN_SUMS
 from .sides import make_side
 from .tiles import tiled
@@ -37,6 +37,8 @@ class _Kernels(NamedTuple):
     convolved_rows: Any
     convolved_columns: Any
     reduce_adaptive: Any
+    scores_of_source: Any
+    scores_of_target: Any
 
 
 ISOTROPIC = _Kernels(
@@ -45,6 +47,8 @@ ISOTROPIC = _Kernels(
     convolved_rows.convolved_rows_isotropic,
     convolved_columns.convolved_columns_isotropic,
     reductions.reduce_adaptive_isotropic,
+    scores.score_sums_of_source_isotropic,
+    scores.score_sums_of_target_isotropic,
 )
 ANISOTROPIC = _Kernels(
     moving.move_anisotropic,
@@ -52,6 +56,8 @@ ANISOTROPIC = _Kernels(
     convolved_rows.convolved_rows_anisotropic,
     convolved_columns.convolved_columns_anisotropic,
     reductions.reduce_adaptive_anisotropic,
+    scores.score_sums_of_source,
+    scores.score_sums_of_target,
 )
 
 
@@ -67,16 +73,25 @@ class CudaPairSums(PairSums):
 
 
 class CudaPosteriorSums(PosteriorSums):
-    """`PosteriorSums` whose row_weights are read from the device when they are asked for."""
+    """`PosteriorSums` whose row_weights are read from the device, and what the target has to say is worked out there,
+    when they are asked for."""
 
-    def __init__(self, total: Array, columns: Array, rows: Held) -> None:
+    def __init__(self, total: Array, rows: Held, columns: Late) -> None:
         self.__dict__.update(
             _of_total(total),
-            _rows=rows,
-            log_likelihood=float(total[TOTAL_LIKELIHOOD] + columns[COLUMN_LIKELIHOOD]),
             overlap=float(total[TOTAL_MATCHED]),
-            target_overlap=float(columns[COLUMN_MATCHED]),
+            _rows=rows,
+            _columns=columns,
+            _likelihood=float(total[TOTAL_LIKELIHOOD]),
         )
+
+    @cached_property
+    def log_likelihood(self) -> float:  # type: ignore[override]
+        return self.__dict__["_likelihood"] + float(self.__dict__["_columns"].totals[COLUMN_LIKELIHOOD])
+
+    @cached_property
+    def target_overlap(self) -> float:  # type: ignore[override]
+        return float(self.__dict__["_columns"].totals[COLUMN_MATCHED])
 
     @cached_property
     def row_weights(self) -> Array:  # type: ignore[override]
@@ -101,6 +116,7 @@ class CudaPairLoop:
         isotropic = source.isotropic and target.isotropic
         self._kernels = ISOTROPIC if isotropic else ANISOTROPIC
         self._flat = source.dimension == 2
+        self._unit = LOG2_SCALE ** (1.0 if self._flat else 1.5)  # |Σ|^(-1/2) in powers of two
         self._source, self._target = make_side(source, isotropic), make_side(target, isotropic)
         self._source_boxes, self._target_boxes = self._source.boxes, self._target.boxes
         self._source_tiles, self._target_tiles = self._source_boxes.shape[0], self._target_boxes.shape[0]
@@ -135,39 +151,57 @@ class CudaPairLoop:
         pose: Array,
         sigma: float,
         uniform: float,
-        column_densities: ArrayLike | Held | None = None,
+        column_densities: ArrayLike | Late | None = None,
         mutuality: float = 0.0,
-    ) -> tuple[CudaPosteriorSums, Held]:
-        """As `PairLoop.posterior_sums`; the column densities are on the device, and `numpy.asarray` reads them."""
-        source, _, source_weights, target_weights = self._covariances
-        unit = LOG2_SCALE ** (1.0 if self._flat else 1.5)  # |Σ|^(-1/2) in powers of two
+    ) -> tuple[CudaPosteriorSums, Late]:
+        """As `PairLoop.posterior_sums`; the column densities are on the device, and `numpy.asarray` reads them.
+
+        They take a second pass over all pairs. The next E-step needs them if this one did; else they wait until
+        somebody asks.
+        """
+        old_densities32 = self._old_columns(column_densities, mutuality)
+        source, _, source_weights, _ = self._covariances
         self._move(pose, np.float32(sigma), self._flat, source)
-        self.launch_convolved_columns(sigma)
-        columns = self._column_turn.take()
-        densities, densities32 = columns.buffers
-        reductions.reduce_columns[self._target_tiles, TILE](
-            self._column_parts,
-            unit,
-            target_weights,
-            float(uniform),
-            densities,
-            densities32,
-            self._column_partials,
-        )
-        old_densities32 = self._old_columns(column_densities, densities32, mutuality)
+        columns = self._reduced_columns(sigma, uniform) if mutuality > 0.0 else None
         self.launch_convolved_rows(sigma, uniform, mutuality, old_densities32)
         posteriors = self._row_turn.take()
         reductions.reduce_convolved[self._source_tiles, TILE](
             self._moved,
             self._rows,
             source_weights,
-            float(uniform * unit),
+            float(uniform * self._unit),
             float(mutuality),
             posteriors.buffers[0],
             self._row_partials,
         )
-        totals = self._add_up(TOTAL_SUMS + COLUMN_SUMS)
-        return CudaPosteriorSums(totals[:TOTAL_SUMS], totals[TOTAL_SUMS:], posteriors), columns
+        totals = self._add_up(TOTAL_SUMS if columns is None else TOTAL_SUMS + COLUMN_SUMS)
+
+        def find_columns() -> tuple[Held, Array]:
+            if columns is not None:
+                return columns, totals[TOTAL_SUMS:]
+            self._move(pose, np.float32(sigma), self._flat, source)
+            found = self._reduced_columns(sigma, uniform)
+            reductions.total[COLUMN_SUMS, reductions.ADDERS](self._column_partials, self._column_partials, self._totals)
+            return found, self._totals.copy_to_host()[:COLUMN_SUMS]
+
+        late = Late(find_columns)
+        return CudaPosteriorSums(totals[:TOTAL_SUMS], posteriors, late), late
+
+    def _reduced_columns(self, sigma: float, uniform: float) -> Held:
+        """The column densities, with the source where it was last moved to, and their sums tile by tile."""
+        self.launch_convolved_columns(sigma)
+        columns = self._column_turn.take()
+        densities, densities32 = columns.buffers
+        reductions.reduce_columns[self._target_tiles, TILE](
+            self._column_parts,
+            self._unit,
+            self._covariances[3],
+            float(uniform),
+            densities,
+            densities32,
+            self._column_partials,
+        )
+        return columns
 
     def nearest_sq(self, pose: Array) -> Array:
         """As `PairLoop.nearest_sq`."""
@@ -179,6 +213,42 @@ class CudaPairLoop:
         reductions.reduce_nearest[self._source_tiles, TILE](self._nearest_parts, self._nearest)
         distances = self._nearest.copy_to_host()[: len(self._source.order)]
         return self._source.restore(distances.astype(np.float64))
+
+    def score_sums(
+        self,
+        pose: Array,
+        sigma: float,
+        own: NDArray[np.float32],
+        own_is_source: bool,
+        weights: Array,
+        shares: Array,
+        cut: float,
+    ) -> Array:
+        """(K, POINT_SUMS) as `kernels.score_sums`, but for the weights of the points themselves.
+
+        own : (POINT, K) points of the source at `pose`, or of the target, see `scores`.   weights, shares : (n,) of all
+        points of the other side, see there.
+        """
+        source, target, _, _ = self._covariances
+        if own_is_source:
+            kernel, other, side = self._kernels.scores_of_source, target, self._target
+            other_boxes, scale = self._target_boxes, sigma * LOG2_SCALE
+        else:
+            self._move(pose, np.float32(sigma), False, source)
+            kernel, other, side = self._kernels.scores_of_target, self._moved, self._source
+            other_boxes, scale = self._moved_boxes, LOG2_SCALE
+        sums = cuda.device_array((scores.SUMS if own_is_source else scores.CURVATURE, own.shape[1]), np.float64)
+        kernel[own.shape[1], TILE](
+            upload(own),
+            other,
+            other_boxes,
+            np.float32(scale),
+            np.float32(sigma * LOG2_SCALE),
+            *(upload(tiled(values[side.order].astype(np.float32), 0.0)) for values in (weights, shares)),
+            np.float32(cut),
+            sums,
+        )
+        return scores.unfolded(sums.copy_to_host())
 
     def launch_adaptive_rows(self, source_sigma: float, target_sigma: float) -> None:
         """The pairs of `sums` with the source where the last pass has moved it."""
@@ -252,12 +322,12 @@ class CudaPairLoop:
             rows, scale, flat, source, self._source_boxes, self._moved, self._moved_boxes
         )
 
-    def _old_columns(self, densities: ArrayLike | Held | None, unused: Any, mutuality: float) -> Any:
+    def _old_columns(self, densities: ArrayLike | Late | None, mutuality: float) -> Any:
         """(target tiles, TILE) float32 column densities on the device; any such array where they have no part."""
         if mutuality == 0.0:
-            return unused
-        if isinstance(densities, Held) and self._column_turn.holds(densities):
-            return densities.buffers[1]
+            return self._column_turn.arrays()[1]
+        if isinstance(densities, Late) and self._column_turn.holds(densities.held):
+            return densities.held.buffers[1]
         assert densities is not None
         return upload(tiled(np.asarray(densities)[self._target.order].astype(np.float32), 0.0))
 

@@ -20,7 +20,7 @@ from .tiles import boxes, point_tiles, tiled
 class TiledSide(Protocol):
     """order : (n,) the mixture's points in the order of the tiles.   boxes : (tiles, 8), see `tiles`."""
 
-    order: NDArray[np.integer]
+    order: NDArray[Any]
     boxes: Any
 
     def precision_tiles(self) -> Any:
@@ -49,7 +49,7 @@ class UploadedSide:
 
     def __init__(self, mixture: Mixture, isotropic: bool) -> None:
         self._side = Side(mixture, isotropic)
-        self.order, self.restore = self._side.order, self._side.restore
+        self.order = self._side.order
         self.boxes = upload(boxes(self._side.points, self._side.variances, self._side.bits))
 
     def precision_tiles(self) -> Any:
@@ -63,6 +63,9 @@ class UploadedSide:
 
     def weight_tiles(self) -> Any:
         return upload(tiled(self._side.weights, 0.0))
+
+    def restore(self, values: Array) -> Array:
+        return self._side.restore(values)
 
 
 class ResidentSide:
@@ -98,7 +101,7 @@ class ResidentSide:
         restored[self.order] = values
         return restored
 
-    def _packed(self, kernel: Any, shares: Array) -> Any:
+    def _packed(self, kernel: Any, shares: NDArray[Any]) -> Any:
         tiles = cuda.device_array((self._bits.shape[0], 5 if self._isotropic else 10, TILE), np.float32)
         kernel[self._bits.shape[0], TILE](
             self._mixture.table,

@@ -44,7 +44,7 @@ def _build_bounds(stamp):
 def _build_moments(stamp):
     @kernel
     def moments(points, weights, origin, shift, scale, partials):
-        """Weighted moments of ((p - origin) - shift) / scale over the points of each block: `partials` (MOMENTS, blocks).
+        """Weighted moments of ((p - origin) - shift) / scale over the points of each block, (MOMENTS, blocks).
 
         weights : (n,) float64.   origin, shift : (3,) float64 tuples, apart so that far clouds keep their digits.
         """

@@ -43,7 +43,7 @@ def gap_sq(boxes, i, j):
 def _build_boxes(stamp):
     @kernel
     def point_boxes(points, boxes):
-        """One block for each tile of ordered points, a table: `boxes` (tiles, 6) float64, low corner and high corner."""
+        """One block for each tile of ordered points, a table; `boxes` (tiles, 6) float64, low and high corners."""
         _ = stamp
         corners = cuda.shared.array((TILE, 6), float64)
         t = cuda.threadIdx.x

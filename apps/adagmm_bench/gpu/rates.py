@@ -39,7 +39,7 @@ def pair_rates() -> list[Rate]:
         loop.sums(pose, SIGMA, SIGMA)
         seconds = {"adaptive": _median_seconds(lambda loop=loop: loop.launch_adaptive_rows(SIGMA, SIGMA))}
         _, columns = loop.posterior_sums(pose, SIGMA, UNIFORM)
-        densities = columns.buffers[1]
+        densities = columns.held.buffers[1]
         seconds["convolved"] = _median_seconds(
             lambda loop=loop, d=densities: loop.launch_convolved_rows(SIGMA, UNIFORM, MUTUALITY, d)
         )

@@ -19,9 +19,9 @@ from .em import Criteria, expectation_maximisation
 from .errors import InputError
 from .expectation import CLOSE_VOLUME, OPEN_VOLUME, AdaptiveExpectation
 from .global_search import is_ambiguous, search_globally
-from .kernels.backend import check_device, make_pair_loop
+from .kernels.backend import check_device, make_pair_loop, mixture_maker
 from .lie import project_to_rotation, split
-from .mixture import Mixture, Normalisation, make_mixture, normalise
+from .mixture import Mixture, Normalisation, normalise
 from .options import TransformationEstimationForAdaptiveGMM
 from .pose_covariance import pose_uncertainty
 from .result import PointRegistrationResult
@@ -85,6 +85,7 @@ def register_points(
     method, limits = check_estimation_method(estimation_method), check_criteria(criteria)
     callback = check_callback(callback_after_iteration)
     check_device(device)
+    make_mixture = mixture_maker(device, source, target)
     moving = make_mixture("source", source, source_covariances)
     fixed = make_mixture("target", target, target_covariances)
     if moving.dimension != fixed.dimension:

@@ -2,19 +2,36 @@
 
 import numpy as np
 import open3d as o3d
+import pytest
 from mixtures import random_pose
 
 from adagmm_o3d import register_points
+from adagmm_o3d.errors import AdaGMMError
 from adagmm_o3d.kernels.cuda import pair_loop
 from adagmm_o3d.kernels.cuda.front_end import TILE
 
 
-def test_a_registration_ends_where_it_does_on_the_cpu(monkeypatch):
+def test_what_is_no_cloud_is_refused_with_the_same_words():
+    cloud = np.random.default_rng(0).normal(size=(9, 3))
+    covariances = np.broadcast_to(np.eye(3), (9, 3, 3))
+    wrong = [(3.0, None), (cloud[:, 0], None), ([[0.0, 1.0], [2.0]], None), (cloud.astype(str), None)]
+    wrong += [(cloud, covariances[:8]), (cloud, covariances[:, :2]), (cloud[:, :2], None), (cloud[:0], None)]
+    for points, given in wrong:
+        errors = []
+        for device in ("cpu", "cuda"):
+            with pytest.raises(AdaGMMError) as caught:
+                register_points(points, cloud, given, device=device)
+            errors.append((type(caught.value), str(caught.value)))
+        assert errors[0] == errors[1]
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_registration_ends_where_it_does_on_the_cpu(dimension, monkeypatch):
     monkeypatch.setattr(pair_loop, "WANTED_BLOCKS", 1)
     rng = np.random.default_rng(1)
-    target = rng.normal(size=(3 * TILE + 1, 3)) * (1.0, 0.7, 0.4)
-    T = random_pose(rng, 3, angle=0.2, distance=0.1)
-    source = (target - T[:3, 3]) @ T[:3, :3]
+    target = rng.normal(size=(3 * TILE + 1, dimension)) * (1.0, 0.7, 0.4)[:dimension]
+    T = random_pose(rng, dimension, angle=0.2, distance=0.1)
+    source = (target - T[:-1, -1]) @ T[:-1, :-1]
     criteria = o3d.pipelines.registration.ICPConvergenceCriteria(max_iteration=4)
     results = [register_points(source, target, criteria=criteria, device=device) for device in ("cpu", "cuda")]
     poses = [result.transformation for result in results]

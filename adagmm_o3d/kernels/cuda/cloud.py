@@ -11,9 +11,9 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from ...arguments import Array
+from ...arguments import Array, float_array
 from ...cloud_checks import (
     FEW_POINTS,
     check_count,
@@ -28,9 +28,10 @@ from ...cloud_checks import (
     refuse_points,
     spread_of,
 )
-from ...mixture import VARIANCE_RANGE, Mixture
+from ...mixture import VARIANCE_RANGE, Mixture, make_mixture
 from ...uncertainty.surface import check_count as check_surface_count
-from . import inspecting, packing, summing, surface
+from . import inspecting, packing, summing
+from . import surface as surface_kernels
 from .front_end import TILE, cuda
 from .held import upload
 from .inspecting import COVARIANCE, POINT_ROWS, VARIANCE
@@ -146,10 +147,22 @@ class DeviceMixture(Mixture):
         return np.ascontiguousarray(((chosen[:3].T) - self.frame.centre) / self.frame.scale)
 
 
-def device_mixture(name: str, positions: Any, covariances: Any | None) -> DeviceMixture:
+def uploaded_mixture(name: str, points: ArrayLike, covariances: ArrayLike | None) -> Mixture:
+    """As `make_mixture`, checked and kept on the device; clouds in the plane, which are small, stay on the host."""
+    p = float_array(f"{name}.points", points, ("n", (2, 3)), finite=False)
+    if p.shape[1] == 2:
+        return make_mixture(name, p, covariances)
+    c = None
+    if covariances is not None:
+        c = upload(float_array(f"{name}.covariances", covariances, (len(p), 3, 3), finite=False))
+    return device_mixture(name, upload(p), c, surface=False)
+
+
+def device_mixture(name: str, positions: Any, covariances: Any | None, *, surface: bool = True) -> DeviceMixture:
     """As `make_mixture`, for arrays on the device: (n, 3) and (n, 3, 3), float32 or float64.
 
-    covariances : None for those of the surface, as `estimate_surface_covariances` finds them.
+    Where there are no covariances, those of the `surface` stand in, as `estimate_surface_covariances` finds them, or the
+    identity.
     """
     n = positions.shape[0]
     check_not_empty(name, n)
@@ -172,9 +185,10 @@ def device_mixture(name: str, positions: Any, covariances: Any | None) -> Device
         table = _gathered(table, np.flatnonzero(usable), POINT_ROWS)
     bounds = bounds_of(table)
     check_largest(name, float(np.abs(bounds).max()))
-    isotropic = covariances is not None and not (findings & inspecting.ANISOTROPIC).any()
-    if covariances is None:
+    isotropic = not (findings & inspecting.ANISOTROPIC).any()
+    if covariances is None and surface:
         _estimate_surface(table, bounds)
+        isotropic = False
     variances = table[VARIANCE].copy_to_host()
     mixture = DeviceMixture(table, isotropic, usable, variances, variances, AS_GIVEN)
     mixture.__dict__["bounds"] = bounds
@@ -243,8 +257,8 @@ def _estimate_surface(table: Any, bounds: Array) -> None:
     ordered = _gathered(table, order, POINT_ROWS)
     tiles = _blocks(n)
     boxes = cuda.device_array((tiles, 6), np.float64)
-    surface.point_boxes[tiles, TILE](ordered, boxes)
-    surface.surface_covariances[tiles, TILE](ordered, boxes, upload(order), table)
+    surface_kernels.point_boxes[tiles, TILE](ordered, boxes)
+    surface_kernels.surface_covariances[tiles, TILE](ordered, boxes, upload(order), table)
 
 
 def _gathered(table: Any, index: NDArray[np.integer], rows: int) -> Any:

@@ -161,8 +161,8 @@ def uploaded_mixture(name: str, points: ArrayLike, covariances: ArrayLike | None
 def device_mixture(name: str, positions: Any, covariances: Any | None, *, surface: bool = True) -> DeviceMixture:
     """As `make_mixture`, for arrays on the device: (n, 3) and (n, 3, 3), float32 or float64.
 
-    Where there are no covariances, those of the `surface` stand in, as `estimate_surface_covariances` finds them, or the
-    identity.
+    Where there are no covariances, those of the `surface` stand in, as `estimate_surface_covariances` finds them, or
+    else the identity.
     """
     n = positions.shape[0]
     check_not_empty(name, n)

@@ -103,6 +103,9 @@ NAMES += [
 ]
 
 
+CONVOLVED_NAMES = ["convolved isotropic", "convolved", "columns isotropic", "columns"]
+
+
 @pytest.mark.parametrize("capability", CAPABILITIES, ids=lambda c: "sm_{}{}".format(*c))
 @pytest.mark.parametrize(("kernel", "signature"), KERNELS, ids=NAMES)
 def test_kernel_compiles_and_keeps_to_its_registers(kernel, signature, capability, tmp_path):
@@ -133,9 +136,13 @@ def test_every_kernel_of_the_package_is_in_the_list():
     assert launched == {id(kernel) for kernel, _ in KERNELS}
 
 
-def test_pair_loops_use_the_hardware_exponential_and_no_float64():
-    ptx = cuda_compiling.compile_to_ptx(adaptive_rows.adaptive_rows_anisotropic, ADAPTIVE, (8, 0))
+@pytest.mark.parametrize("name", ["adaptive isotropic", "adaptive", *CONVOLVED_NAMES])
+def test_pair_loops_use_the_hardware_functions_and_no_float64(name):
+    kernel, signature = KERNELS[NAMES.index(name)]
+    ptx = cuda_compiling.compile_to_ptx(kernel, signature, (8, 0))
     assert "ex2.approx.ftz.f32" in ptx
+    assert ("rsqrt.approx.ftz.f32" in ptx) is (name in CONVOLVED_NAMES)
+    assert not re.search(r"\s(sqrt|rcp)\.", ptx)
     # float64 takes over at the end of a run of tiles, and for the sums themselves.
     assert "cvt.rn.f32.f64" not in ptx and "mul.f64" not in ptx and "mul.rn.f64" not in ptx
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
@@ -112,7 +111,7 @@ def _register_in_place(
     with current_device(source.point.positions):
         mixtures = []
         for name, cloud in (("source", source), ("target", target)):
-            covariances = _covariance_tensor(name, cloud)
+            covariances = _covariances_in_place(name, cloud)
             mixtures.append(
                 device_mixture(
                     name,
@@ -123,14 +122,11 @@ def _register_in_place(
         return register_mixtures(mixtures[0], mixtures[1], init, method, limits, device, callback)
 
 
-def _covariance_tensor(name: str, cloud: TensorCloud) -> o3d.core.Tensor | None:
-    """(n, 3, 3) Float32 or Float64, where the cloud has them."""
+def _covariances_in_place(name: str, cloud: TensorCloud) -> o3d.core.Tensor | None:
+    """Covariances as Float32 or Float64, where the cloud has any."""
     if "covariances" not in cloud.point:
         return None
     covariances = cloud.point.covariances
-    wanted, got = (len(cloud.point.positions), 3, 3), tuple(covariances.shape)
-    if got != wanted:
-        raise InputError(f"{name}.covariances: expected shape {wanted}, got {got}")
     if covariances.dtype == o3d.core.bool:
         raise InputTypeError(f"{name}.covariances: expected an array of real numbers, got dtype bool")
     if covariances.dtype not in (o3d.core.float32, o3d.core.float64):
@@ -170,8 +166,10 @@ def _check_positions(name: str, cloud: TensorCloud) -> None:
 
 def check_voxel_size(name: str, low: Array, high: Array, voxel_size: float) -> None:
     """Raise where a cloud between two corners would have more voxels along an axis than Open3D can number."""
+    if not (np.isfinite(low).all() and np.isfinite(high).all()):
+        return
     extent = float(np.max(high - low))
-    if math.isfinite(extent) and extent / voxel_size >= MOST_VOXELS:
+    if extent / voxel_size >= MOST_VOXELS:
         raise InputError(
             f"voxel_size: expected more than {extent / MOST_VOXELS:.3g} for the extent {extent:.3g} of {name}, "
             f"got {voxel_size:g}"

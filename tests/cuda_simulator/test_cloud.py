@@ -169,6 +169,22 @@ def test_what_is_refused_is_refused_with_the_same_words(what):
     assert str(caught.value) == str(expected.value)
 
 
+@pytest.mark.parametrize(
+    ("points", "covariances", "message"),
+    [
+        ((9, 2), None, r"target.points: expected shape \(9, 3\), got \(9, 2\)"),
+        ((9,), None, r"target.points: expected shape \(9, 3\), got \(9,\)"),
+        ((0, 3), None, "target.points: the cloud is empty"),
+        ((9, 3), (9, 9), r"target.covariances: expected shape \(9, 3, 3\), got \(9, 9\)"),
+        ((9, 3), (8, 3, 3), r"target.covariances: expected shape \(9, 3, 3\), got \(8, 3, 3\)"),
+    ],
+)
+def test_arrays_of_the_wrong_shape_are_refused(points, covariances, message):
+    given = None if covariances is None else cuda.to_device(np.ones(covariances))
+    with pytest.raises(AdaGMMError, match=message):
+        device_mixture("target", cuda.to_device(np.ones(points)), given)
+
+
 def surface_points(n):
     rng = np.random.default_rng(n)
     points = rng.normal(size=(n, 3))

@@ -28,6 +28,7 @@ from ...cloud_checks import (
     refuse_points,
     spread_of,
 )
+from ...errors import InputError
 from ...mixture import VARIANCE_RANGE, Mixture, make_mixture
 from ...uncertainty.surface import check_count as check_surface_count
 from . import inspecting, packing, summing
@@ -165,6 +166,9 @@ def device_mixture(name: str, positions: Any, covariances: Any | None, *, surfac
     else the identity.
     """
     n = positions.shape[0]
+    _check_shape(f"{name}.points", positions, (n, 3))
+    if covariances is not None:
+        _check_shape(f"{name}.covariances", covariances, (n, 3, 3))
     check_not_empty(name, n)
     table = cuda.device_array((POINT_ROWS, n), np.float64)
     status = cuda.device_array(n, np.uint8)
@@ -229,6 +233,11 @@ def moments(table: Any, weights: Any, origin: Array, shift: Array | None = None,
     at, by = (tuple(float(x) for x in v) for v in (origin, np.zeros(3) if shift is None else shift))
     summing.moments[blocks, TILE](table, weights, at, by, float(scale), partials)
     return np.add.reduce(partials.copy_to_host(), axis=1)
+
+
+def _check_shape(name: str, array: Any, wanted: tuple[int, ...]) -> None:
+    if tuple(array.shape) != wanted:
+        raise InputError(f"{name}: expected shape {wanted}, got {tuple(array.shape)}")
 
 
 def _check_spread(name: str, mixture: DeviceMixture) -> None:

@@ -141,6 +141,8 @@ class DeviceMixture(Mixture):
 
     def _chosen(self, index: NDArray[np.integer], rows: int) -> Array:
         """(rows, k) the first rows of the table at `index`, on the host."""
+        if len(index) == 0:  # nothing to launch
+            return np.empty((rows, 0))
         return _gathered(self.table, index, rows).copy_to_host()
 
     def _in_frame(self, chosen: Array) -> Array:

@@ -7,6 +7,7 @@ from mixtures import random_pose
 
 from adagmm_o3d import register_points
 from adagmm_o3d.errors import AdaGMMError
+from adagmm_o3d.kernels import backend
 from adagmm_o3d.kernels.cuda import pair_loop
 from adagmm_o3d.kernels.cuda.front_end import TILE
 
@@ -23,6 +24,18 @@ def test_what_is_no_cloud_is_refused_with_the_same_words():
                 register_points(points, cloud, given, device=device)
             errors.append((type(caught.value), str(caught.value)))
         assert errors[0] == errors[1]
+
+
+def test_auto_prepares_clouds_where_their_pairs_will_be(monkeypatch):
+    cloud = np.random.default_rng(0).normal(size=(9, 3))
+    monkeypatch.setattr(backend, "CROSSING_PAIRS", 9 * 9)
+
+    def on_device(device, points):
+        return backend.mixture_maker(device, points, points)("source", points, None).on_device
+
+    assert on_device("auto", cloud) and on_device("cuda", cloud[:8])
+    assert not on_device("auto", cloud[:8]) and not on_device("cpu", cloud)
+    assert not on_device("cuda", cloud[:, :2])  # in the plane the host prepares
 
 
 @pytest.mark.parametrize("dimension", [2, 3])

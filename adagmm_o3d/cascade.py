@@ -16,10 +16,12 @@ import numpy as np
 from .arguments import Array
 from .coarse import MergedMixture, merge, sample
 from .em import Criteria, Outcome, expectation_maximisation
-from .expectation import SIGMA_FLOOR, PosteriorExpectation
+from .expectation import FASTEST, LEAST_UNMATCHED, SIGMA_FLOOR, PosteriorExpectation
 from .mixture import Mixture
+from .neighbors import NeighborIndex
 from .pairs import Pairs
 from .pose_covariance import Fit
+from .result import StopReason
 from .start_search import End, Limits, Start, distinct, joined, pose_distance, run_starts
 from .trace import Iteration
 
@@ -27,9 +29,9 @@ from .trace import Iteration
 # to SMALL points decide with all of them; a search among small clouds does better on a part (heavy noise above all).
 MERGED, RANKING, DECIDING, SMALL, SMALL_DECIDING = 200, 400, 1000, 1100, 500
 # How far EM goes on each: what so many components can tell.
-MERGED_LIMITS = Limits(floor=2e-3, least_unmatched=0.05, step=1e-3)
-RANKING_LIMITS = Limits(floor=1e-3, least_unmatched=0.05, step=1e-3)
-DECIDING_LIMITS = Limits(floor=SIGMA_FLOOR, least_unmatched=0.15, step=3e-4)
+MERGED_LIMITS = Limits(floor=2e-3, least_unmatched=0.05, relative_rmse=5e-4)
+RANKING_LIMITS = Limits(floor=1e-3, least_unmatched=0.05, relative_rmse=1e-3)
+DECIDING_LIMITS = Limits(floor=SIGMA_FLOOR, least_unmatched=0.15, relative_rmse=4e-4)
 # How many candidates go on from a level, and how far apart they have to be (see `pose_distance`).
 KEPT_MERGED, APART_MERGED = 4, 0.12
 KEPT_RANKING, APART_RANKING = 2, 0.04
@@ -48,11 +50,17 @@ class Cascade:
 
     def __init__(self, source: Mixture, target: Mixture, volume: float) -> None:
         self.source, self.target, self.volume = source, target, volume
+        self._samples: dict[int, tuple[MergedMixture, MergedMixture]] = {}
         self.small = max(len(source), len(target)) <= SMALL
 
     @cached_property
     def _merged(self) -> tuple[MergedMixture, MergedMixture]:
         return merge(self.source, MERGED), merge(self.target, MERGED)
+
+    def _sampled(self, size: int) -> tuple[MergedMixture, MergedMixture]:
+        if size not in self._samples:
+            self._samples[size] = sample(self.source, size), sample(self.target, size)
+        return self._samples[size]
 
     def register_trusted(self, starts: list[Start]) -> tuple[End, End]:
         """The likeliest of the starts, on the merged level and carried on to the deciding one."""
@@ -76,8 +84,7 @@ class Cascade:
         kept = [end for end in distinct([merged, *ends], KEPT_MERGED, APART_MERGED) if end is not merged]
         again = [Start(end.pose, 2.0 * MERGED_LIMITS.floor, end.unmatched, 0.65, 6, follow=0.0) for end in kept]
         ranked = run_starts(
-            sample(self.source, RANKING),
-            sample(self.target, RANKING),
+            *self._sampled(RANKING),
             again,
             limits=RANKING_LIMITS,
             volume=self.volume,
@@ -101,6 +108,8 @@ class Cascade:
         observe: Callable[[Iteration], None] | None,
     ) -> tuple[Outcome, Fit]:
         """The end carried to convergence on all points, and the mixtures' parameters there."""
+        if self.small and mutuality == 0.0:
+            return self._refine_compiled(end, criteria, observe)
         dimension = self.source.dimension
         expectation = PosteriorExpectation(
             pairs, dimension, end.sigma, unmatched=end.unmatched, mutuality=mutuality, volume=self.volume
@@ -110,6 +119,23 @@ class Cascade:
         )
         fit = Fit(outcome.pose, expectation.scale.target, expectation.unmatched, self.volume, mutuality)
         return replace(outcome, iterations=end.iterations + outcome.iterations), fit
+
+    def _refine_compiled(
+        self, end: End, criteria: Criteria, observe: Callable[[Iteration], None] | None
+    ) -> tuple[Outcome, Fit]:
+        """`refine` without a return to Python, which would cost small clouds more than their pairs do."""
+        start = Start(end.pose, end.sigma, end.unmatched, FASTEST, criteria.max_iteration, follow=1.0)
+        limits = Limits(SIGMA_FLOOR, LEAST_UNMATCHED, criteria.relative_rmse)
+        refined = run_starts(*self._sampled(SMALL), [start], limits=limits, volume=self.volume, level=3)[0]
+        if observe is not None:
+            for iteration in refined.iterations:
+                observe(iteration)
+        if not refined.iterations[-1].matched > 0.0:
+            reason = StopReason.NO_OVERLAP
+        else:
+            reason = StopReason.CONVERGED if refined.settled else StopReason.MAX_ITERATION
+        fit = Fit(refined.pose, refined.sigma, refined.unmatched, self.volume, mutuality=0.0)
+        return Outcome(refined.pose, end.iterations + refined.iterations, reason), fit
 
     def run_deciding(self, starts: list[Start]) -> list[End]:
         """Run starts on the deciding level right away."""
@@ -124,8 +150,7 @@ class Cascade:
 
     def _run_sampled(self, starts: list[Start], size: int) -> list[End]:
         return run_starts(
-            sample(self.source, size),
-            sample(self.target, size),
+            *self._sampled(size),
             starts,
             limits=DECIDING_LIMITS,
             volume=self.volume,
@@ -144,9 +169,6 @@ def _spacing(mixture: Mixture) -> float:
     points = mixture.points_at(index)
     thinning = (len(points) / len(mixture)) ** (1.0 / (mixture.dimension - 1))
     probes = np.linspace(0, len(points) - 1, min(PROBES, len(points))).astype(np.intp)
-    nearest: Array = np.empty(len(probes))
-    for k, probe in enumerate(probes):
-        distances_sq = ((points - points[probe]) ** 2).sum(axis=1)
-        distances_sq[probe] = np.inf
-        nearest[k] = distances_sq.min()
+    flat = np.ascontiguousarray(points[:, : mixture.dimension])
+    nearest = NeighborIndex(flat).query(flat[probes], 2)[1][:, 1]
     return float(np.sqrt(np.median(nearest))) * thinning

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from .arguments import Array
@@ -9,8 +11,7 @@ from .em import Outcome
 from .expectation import uniform_density
 from .mixture import Mixture, Normalisation
 from .pairs import Pairs
-from .pose_covariance import PoseUncertainty, covariance_out
-from .result import PointRegistrationResult, StopReason
+from .result import PointRegistrationResult, PoseUncertainty, StopReason
 
 # The share of points without a partner that is taken for granted when a point is asked whether it has one.
 JUDGED_UNMATCHED = 0.1
@@ -30,7 +31,7 @@ def conclude(
     *,
     volume: float,
     ambiguous: bool,
-    uncertainty: PoseUncertainty | None,
+    assess: Callable[[], PoseUncertainty],
 ) -> PointRegistrationResult:
     """The result of normalised mixtures in input units.
 
@@ -41,15 +42,9 @@ def conclude(
     poses = np.array([start, *(i.pose for i in outcome.iterations)])
     poses = lower(normalisation.pose_out(poses), dimension)
     row_weights, overlap = np.zeros(len(source.kept)), 0.0
-    pose_covariance: Array | None = None
-    unobservable: tuple[Array, ...] = ()
-    if uncertainty is not None:
-        unobservable = uncertainty.unobservable
-        if uncertainty.covariance is not None:
-            pose_covariance = covariance_out(uncertainty.covariance, normalisation)
-    if outcome.sums is not None:
+    if outcome.stop_reason is not StopReason.NO_OVERLAP:
         uniform = uniform_density(JUDGED_UNMATCHED, dimension, volume)
-        posterior, _ = pairs.posterior_sums(outcome.pose, outcome.iterations[-1].sigma, uniform)
+        posterior = pairs.posterior_sums(outcome.pose, outcome.iterations[-1].sigma, uniform)
         row_weights[source.kept], overlap = posterior.row_weights, posterior.overlap
     return PointRegistrationResult(
         transformation=poses[-1].copy(),
@@ -62,27 +57,24 @@ def conclude(
         row_weights=row_weights,
         dropped_source=source.dropped,
         dropped_target=target.dropped,
-        pose_covariance=pose_covariance,
-        unobservable=unobservable,
         ambiguous=ambiguous,
-        warnings=_warnings(outcome, overlap, ambiguous, len(unobservable)),
+        doubts=_doubts(outcome, overlap, ambiguous),
+        assess=assess,
     )
 
 
-def _warnings(outcome: Outcome, overlap: float, ambiguous: bool, free: int) -> tuple[str, ...]:
-    warnings = []
+def _doubts(outcome: Outcome, overlap: float, ambiguous: bool) -> tuple[str, ...]:
+    doubts = []
     if outcome.stop_reason is not StopReason.CONVERGED:
-        warnings.append(f"not converged: {outcome.stop_reason}")
+        doubts.append(f"not converged: {outcome.stop_reason}")
     if overlap < LEAST_OVERLAP:
-        warnings.append(f"the estimated overlap is only {overlap:.0%}")
+        doubts.append(f"the estimated overlap is only {overlap:.0%}")
     if outcome.iterations and outcome.iterations[-1].sigma > LARGEST_SIGMA:
         deviation = np.sqrt(outcome.iterations[-1].sigma)
-        warnings.append(f"residuals of {deviation:.0%} of the clouds' radius remain: heavy noise or a wrong pose")
-    if free:
-        warnings.append(f"the shape leaves {free} direction{'s' if free > 1 else ''} of the pose free")
+        doubts.append(f"residuals of {deviation:.0%} of the clouds' radius remain: heavy noise or a wrong pose")
     if ambiguous:
-        warnings.append("another pose explains the clouds as well: a symmetric shape")
-    return tuple(warnings)
+        doubts.append("another pose explains the clouds as well: a symmetric shape")
+    return tuple(doubts)
 
 
 def lower(poses: Array, dimension: int) -> Array:

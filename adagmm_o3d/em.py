@@ -10,8 +10,6 @@ import numpy as np
 
 from .arguments import Array
 from .expectation import Expectation
-from .kernels.pair_loop import PairSums
-from .lie import se_exp
 from .m_step import solve_step
 from .result import StopReason
 from .trace import Iteration
@@ -31,12 +29,11 @@ class Criteria:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Where the loop ended and how; `sums` are those of the last E-step, None if there was no pair with any weight."""
+    """Where the loop ended and how."""
 
     pose: Array
     iterations: tuple[Iteration, ...]
     stop_reason: StopReason
-    sums: PairSums | None
 
 
 def expectation_maximisation(
@@ -53,22 +50,22 @@ def expectation_maximisation(
 
     `relaxation` lengthens every step; `observe` is called after each iteration.
     """
-    pose, sums = start, None
+    pose = start
     iterations: list[Iteration] = []
     for _ in range(criteria.max_iteration):
         # E-step: the weights of all pairs at the old pose, and their sums (Eq. 5).
         sigma = expectation.scale.source
         sums = expectation.e_step(pose)
         if not sums.weight > 0.0:
-            return Outcome(pose, tuple(iterations), StopReason.NO_OVERLAP, None)
+            return Outcome(pose, tuple(iterations), StopReason.NO_OVERLAP)
         # M-step: R, t that lower Eq. 5, the weights held.
         delta = relaxation * solve_step(sums.hessian, sums.gradient, dimension)
-        pose = se_exp(delta) @ pose
+        settled = float(np.linalg.norm(delta)) <= math.sqrt(criteria.relative_rmse * sigma)
+        # σ: both mixtures shrink as the clouds come together.
+        pose, done = expectation.advance(pose, delta, sums, settled)
         iterations.append(Iteration(pose, sigma, sums.energy / sums.weight, expectation.matched(sums), level))
         if observe is not None:
             observe(iterations[-1])
-        # σ: both mixtures shrink as the clouds come together.
-        settled = float(np.linalg.norm(delta)) <= math.sqrt(criteria.relative_rmse * sigma)
-        if expectation.shrink(pose, sums, settled):
-            return Outcome(pose, tuple(iterations), StopReason.CONVERGED, sums)
-    return Outcome(pose, tuple(iterations), StopReason.MAX_ITERATION, sums)
+        if done:
+            return Outcome(pose, tuple(iterations), StopReason.CONVERGED)
+    return Outcome(pose, tuple(iterations), StopReason.MAX_ITERATION)

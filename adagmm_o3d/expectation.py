@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol
+from typing import Protocol
+
+import numpy as np
 
 from .arguments import Array
+from .kernels.acceleration import LOG_SIGMA, UNMATCHED_SHARE, accelerate, empty_memory, forget
 from .kernels.pair_loop import PairSums, PosteriorSums
+from .lie import se_exp
 from .pairs import Pairs
 from .sigma_rules import LEAST_SIGMA, Scale, SigmaRule
 
@@ -34,8 +38,11 @@ class Expectation(Protocol):
     def e_step(self, pose: Array) -> PairSums:
         """All pairs weighed at `pose`."""
 
-    def shrink(self, pose: Array, sums: PairSums, settled: bool) -> bool:
-        """Choose the next scale at the new `pose`; True when the loop is done."""
+    def advance(self, pose: Array, delta: Array, sums: PairSums, settled: bool) -> tuple[Array, bool]:
+        """Move `pose` along the M-step's `delta` and choose the next scale: the new pose, and whether the loop is done.
+
+        `settled` says that the step was a short one.
+        """
 
     def matched(self, sums: PairSums) -> float:
         """Estimated share of the source that has a partner."""
@@ -51,10 +58,11 @@ class AdaptiveExpectation:
     def e_step(self, pose: Array) -> PairSums:
         return self._pairs.sums(pose, self.scale.source, self.scale.target)
 
-    def shrink(self, pose: Array, sums: PairSums, settled: bool) -> bool:
+    def advance(self, pose: Array, delta: Array, sums: PairSums, settled: bool) -> tuple[Array, bool]:
+        pose = se_exp(delta) @ pose
         scale = self._rule.next(self._pairs, pose, self.scale, settled)
         self.scale = scale or self.scale
-        return scale is None
+        return pose, scale is None
 
     def matched(self, sums: PairSums) -> float:
         """The paper's weights are no probabilities: the mean weight of a source point, relative to the largest."""
@@ -85,26 +93,31 @@ class PosteriorExpectation:
     ) -> None:
         self._pairs, self._dimension = pairs, dimension
         self._fastest, self._floor, self._mutuality, self._volume = fastest, floor, mutuality, volume
-        self._columns: Any = None
         self.scale = Scale(sigma, sigma)
         self.unmatched = unmatched
+        self._memory = empty_memory()
+        forget(self._memory)
 
     def e_step(self, pose: Array) -> PosteriorSums:
-        if self._mutuality > 0.0 and self._columns is None:
-            _, self._columns = self._pairs.posterior_sums(pose, self.scale.target, self._uniform())
-        sums, self._columns = self._pairs.posterior_sums(
-            pose, self.scale.target, self._uniform(), self._columns, self._mutuality
-        )
-        return sums
+        return self._pairs.posterior_sums(pose, self.scale.target, self._uniform(), self._mutuality)
 
-    def shrink(self, pose: Array, sums: PairSums, settled: bool) -> bool:
+    def advance(self, pose: Array, delta: Array, sums: PairSums, settled: bool) -> tuple[Array, bool]:
         assert isinstance(sums, PosteriorSums)
         old = self.scale.target
-        observed = old * sums.energy / sums.weight / self._dimension
-        new = max(self._fastest * old, observed, self._floor, LEAST_SIGMA)
-        self.unmatched = min(max(1.0 - sums.overlap, LEAST_UNMATCHED), MOST_UNMATCHED)
+        wanted = max(old * sums.energy / sums.weight / self._dimension, self._floor, LEAST_SIGMA)
+        new = max(self._fastest * old, wanted)
+        unmatched = min(max(1.0 - sums.overlap, LEAST_UNMATCHED), MOST_UNMATCHED)
+        residual = np.array([*delta, math.log(new / old), unmatched - self.unmatched])
+        step = residual.copy()
+        if new > wanted:
+            forget(self._memory)
+        else:
+            accelerate(residual, math.sqrt(old), self._memory, step)
+            new = max(old * math.exp(step[LOG_SIGMA]), self._fastest * old, self._floor, LEAST_SIGMA)
+        self.unmatched = min(max(self.unmatched + step[UNMATCHED_SHARE], LEAST_UNMATCHED), MOST_UNMATCHED)
         self.scale = Scale(new, new)
-        return settled and abs(new / old - 1.0) < SIGMA_TOLERANCE
+        done = settled and abs(residual[LOG_SIGMA]) < SIGMA_TOLERANCE
+        return se_exp(step[:LOG_SIGMA]) @ pose, done
 
     def matched(self, sums: PairSums) -> float:
         assert isinstance(sums, PosteriorSums)

@@ -114,14 +114,14 @@ def _grid(dimension: int) -> Array:
 
 
 def _levels(source: Mixture, target: Mixture) -> tuple[_Level, _Level, _Level, _Level]:
-    def limits(floor: float, least_unmatched: float, step: float) -> Limits:
-        return Limits(floor, least_unmatched, step, judged_unmatched=JUDGED_UNMATCHED)
+    def limits(floor: float, least_unmatched: float, relative_rmse: float) -> Limits:
+        return Limits(floor, least_unmatched, relative_rmse, judged_unmatched=JUDGED_UNMATCHED)
 
     return (
-        _Level((merge(source, 150), merge(target, 150)), limits(1e-2, 0.05, 1e-3), 0.6, 5, 0.0, 24, 0.15),
-        _Level((merge(source, 200), merge(target, 200)), limits(2e-3, 0.05, 1e-3), 0.65, 8, 0.0, 6, 0.1),
+        _Level((merge(source, 150), merge(target, 150)), limits(1e-2, 0.05, 1e-4), 0.6, 5, 0.0, 24, 0.15),
+        _Level((merge(source, 200), merge(target, 200)), limits(2e-3, 0.05, 5e-4), 0.65, 8, 0.0, 6, 0.1),
         _Level((sample(source, 500), sample(target, 500)), limits(1e-3, 0.05, 1e-3), 0.65, 8, 0.0, 3, 0.05),
-        _Level((sample(source, 1000), sample(target, 1000)), limits(SIGMA_FLOOR, 0.15, 3e-4), 0.75, 15, 1.0, 4, 0.0),
+        _Level((sample(source, 1000), sample(target, 1000)), limits(SIGMA_FLOOR, 0.15, 4e-4), 0.75, 15, 1.0, 4, 0.0),
     )
 
 

@@ -104,10 +104,7 @@ class Mixture:
 
     def largest_variances(self) -> Array:
         """(n,) the largest eigenvalue of each covariance: how far the point reaches."""
-        if self.isotropic:
-            return self.covariances[:, 0, 0].copy()
-        eigenvalues = np.linalg.eigvalsh(self.covariances[:, : self.dimension, : self.dimension])
-        return np.asarray(eigenvalues[:, -1], np.float64)
+        return largest_variances(self.covariances, self.dimension, self.isotropic)
 
     def centroid(self, weights: Array) -> Array:
         """(3,) mean of the points with (n,) weights."""
@@ -127,6 +124,13 @@ class Mixture:
             covariances[:, 2, 2] = 1.0
         points = (self.points - centre) / scale
         return Mixture(points, covariances, self.weights, self.dimension, self.isotropic, self.kept)
+
+
+def largest_variances(covariances: Array, dimension: int, isotropic: bool) -> Array:
+    """(n,) the largest eigenvalue of each of (n, 3, 3) covariances."""
+    if isotropic:
+        return covariances[:, 0, 0].copy()
+    return np.asarray(np.linalg.eigvalsh(covariances[:, :dimension, :dimension])[:, -1], np.float64)
 
 
 def make_mixture(

@@ -33,7 +33,6 @@ class TransformationEstimationForAdaptiveGMM:
     mutuality : 0 to 0.5, how much of a pair's weight is its share among the target point's pairs, beside that among the
         source point's (0.5: both alike). None: 0.5 for clouds of more than 1100 points, where it pays; 0 for smaller
         ones, where it costs accuracy under heavy noise.
-    uncertainty : estimate the pose's covariance and the directions that the shape leaves free; for the posterior rule.
     relaxation : lengthens every step, 1 <= relaxation < 2; above 1 it saves iterations.
 
     Raises
@@ -45,7 +44,6 @@ class TransformationEstimationForAdaptiveGMM:
     start: StartName = "auto"
     search: bool = True
     mutuality: float | None = None
-    uncertainty: bool = True
     relaxation: float = 1.0
 
     def __post_init__(self) -> None:
@@ -53,9 +51,8 @@ class TransformationEstimationForAdaptiveGMM:
             value = getattr(self, name)
             if value not in choices:
                 raise InputError(f"{name}: expected one of {', '.join(map(repr, choices))}, got {value!r}")
-        for name in ("search", "uncertainty"):
-            if not isinstance(getattr(self, name), bool):
-                raise InputTypeError(f"{name}: expected a bool, got {type(getattr(self, name)).__name__}")
+        if not isinstance(self.search, bool):
+            raise InputTypeError(f"search: expected a bool, got {type(self.search).__name__}")
         if self.mutuality is not None and not 0.0 <= real_number("mutuality", self.mutuality) <= 0.5:
             raise InputError(f"mutuality: expected 0 <= mutuality <= 0.5 or None, got {self.mutuality:g}")
         if not 1.0 <= real_number("relaxation", self.relaxation) < 2.0:

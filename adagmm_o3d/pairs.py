@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Protocol
 
 from .arguments import Array
 from .kernels.pair_loop import PairSums, PosteriorSums
@@ -14,10 +14,8 @@ class Pairs(Protocol):
     def sums(self, pose: Array, source_sigma: float, target_sigma: float) -> PairSums:
         """The paper's E-step."""
 
-    def posterior_sums(
-        self, pose: Array, sigma: float, uniform: float, column_densities: Any = None, mutuality: float = 0.0
-    ) -> tuple[PosteriorSums, Any]:
-        """The E-step on convolved Gaussians, and the column densities for the next one."""
+    def posterior_sums(self, pose: Array, sigma: float, uniform: float, mutuality: float = 0.0) -> PosteriorSums:
+        """The E-step on convolved Gaussians."""
 
     def nearest_sq(self, pose: Array) -> Array:
         """Squared nearest distances."""

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,17 +24,19 @@ from .kernels.backend import check_device, make_pair_loop, mixture_maker
 from .lie import project_to_rotation, split
 from .mixture import Mixture, Normalisation, normalise
 from .options import TransformationEstimationForAdaptiveGMM
-from .pose_covariance import pose_uncertainty
-from .result import PointRegistrationResult
+from .pose_covariance import uncertainty_out
+from .result import PointRegistrationResult, PoseUncertainty, StopReason
 from .settings import check_callback, check_criteria, check_estimation_method
 from .sigma_rules import Annealed, FigureTwo, NearestDistance, SigmaRule
-from .start_search import End
+from .start_search import End, pose_distance
 from .trace import Iteration
 
 # A pose handed over by another program has float32 digits.
 INIT_TOLERANCE = 1e-4
 # A given start is believed when this share of the source has a partner where it leads.
 PLAUSIBLE = 0.1
+# Starts that differ by less than this, in radii, lead to the same end: σ = 0.3 does not tell them apart.
+SAME_START = 0.1
 # The paper's wide mixtures converge slowly: their steps are short long before the end.
 SLOW = 0.01
 
@@ -112,7 +115,7 @@ def register_mixtures(
         raise InputError(f"init: expected a pose or 'global', got {init!r}")
     everywhere = isinstance(init, str)
     given = None if init is None or everywhere else _start_pose(init, normalisation, dimension)
-    ambiguous, uncertainty = False, None
+    ambiguous, assess = False, _unknown
     if method.sigma_rule == "posterior":
         cascade, ends = _find(moving, fixed, method, given, everywhere, normalisation)
         best, ambiguous = ends[0], everywhere and is_ambiguous(ends)
@@ -128,7 +131,8 @@ def register_mixtures(
             relaxation=method.relaxation,
             observe=observe,
         )
-        uncertainty = pose_uncertainty(pairs, moving, fixed, fit) if method.uncertainty and outcome.sums else None
+        if outcome.stop_reason is not StopReason.NO_OVERLAP:
+            assess = partial(uncertainty_out, pairs, moving, fixed, fit, normalisation)
     else:
         if everywhere:
             raise InputError(f"init: 'global' needs sigma_rule 'posterior', got {method.sigma_rule!r}")
@@ -149,7 +153,7 @@ def register_mixtures(
         pairs,
         volume=volume,
         ambiguous=ambiguous,
-        uncertainty=uncertainty,
+        assess=assess,
     )
 
 
@@ -175,11 +179,18 @@ def _find(
         bases = [given]
     else:
         bases = {"auto": [centroids, identity], "centroids": [centroids], "init": [identity]}[method.start]
+        if pose_distance(bases[0], bases[-1]) < SAME_START:
+            bases = bases[:1]
     trusted = cascade.register_trusted([starts.wide(base) for base in bases])
     if not method.search or cascade.is_tight(trusted[1]):
         return cascade, [trusted[1]]
     others = [*starts.around(bases[0], dimension), *(starts.narrow(base) for base in bases[1:])]
     return cascade, cascade.search(others, trusted)
+
+
+def _unknown() -> PoseUncertainty:
+    """Of a pose that the paper's own rules found, or that no pair speaks for."""
+    return PoseUncertainty(None, ())
 
 
 def _mutuality(method: TransformationEstimationForAdaptiveGMM, source: Mixture, target: Mixture) -> float:

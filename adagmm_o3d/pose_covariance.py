@@ -33,6 +33,7 @@ from .m_step import FREE
 from .mixture import PACKED, Mixture, Normalisation
 from .observability import free_directions, generalised_eigen
 from .pairs import Pairs
+from .result import PoseUncertainty
 
 # Of large clouds only some points' scores are looked at, and their sums stand for those of all: as many as make this
 # many pairs with the other cloud, but no fewer than LEAST_SCORED. (The denser the clouds, the more does each tell.)
@@ -64,20 +65,12 @@ class Fit:
     mutuality: float
 
 
-@dataclass(frozen=True)
-class PoseUncertainty:
-    """covariance : (6, 6), in 2D (3, 3), of δ = (ω, v) in exp(δ)·T between normalised clouds. In a direction that the
-    shape leaves free the standard deviation is one radius; None where no pair carries any weight.
-
-    unobservable : unit tangent directions that are free, see `observability.free_directions`, or nearly so.
-    """
-
-    covariance: Array | None
-    unobservable: tuple[Array, ...]
-
-
 def pose_uncertainty(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -> PoseUncertainty:
-    """The uncertainty of a pose between normalised mixtures; `pairs` are theirs."""
+    """The uncertainty of a pose between normalised mixtures; `pairs` are theirs.
+
+    In a direction that the shape leaves free the standard deviation is one radius; see also
+    `observability.free_directions`.
+    """
     scores = score_moments(pairs, source, target, fit)
     if not np.trace(scores.curvature) > 0.0:
         return PoseUncertainty(None, tuple(np.eye(len(scores.curvature))))
@@ -92,6 +85,16 @@ def pose_uncertainty(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -
     deviations, directions = np.linalg.eigh(covariance)
     unsure = directions[:, deviations > FREE_DEVIATION**2]
     return PoseUncertainty(covariance + free.T @ free, (*free, *unsure.T))
+
+
+def uncertainty_out(
+    pairs: Pairs, source: Mixture, target: Mixture, fit: Fit, normalisation: Normalisation
+) -> PoseUncertainty:
+    """`pose_uncertainty` with the covariance in input units."""
+    normalised = pose_uncertainty(pairs, source, target, fit)
+    if normalised.covariance is None:
+        return normalised
+    return PoseUncertainty(covariance_out(normalised.covariance, normalisation), normalised.unobservable)
 
 
 def _complement(directions: Array) -> Array:
@@ -124,11 +127,11 @@ class ScoreMoments:
 def score_moments(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -> ScoreMoments:
     """The scores of the points of both clouds at a pose."""
     uniform = uniform_density(fit.unmatched, source.dimension, fit.volume)
-    sums, column_densities = pairs.posterior_sums(fit.pose, fit.sigma, uniform)
+    sums = pairs.posterior_sums(fit.pose, fit.sigma, uniform)
     source_weights, target_weights = source.weights / source.weights.sum(), target.weights / target.weights.sum()
     # 1 / (density + uniform), for the source points from the probability to have a partner
     source_rest = (1.0 - sums.row_weights) / uniform
-    target_rest = 1.0 / (column_densities + uniform)
+    target_rest = 1.0 / (sums.column_densities + uniform)
     make_side, axis = (_ResidentSide, 0) if source.on_device else (_side, int(np.argmax(np.ptp(target.points, axis=0))))
     moved = make_side(source, fit, fit.pose, source_weights * source_rest ** (1.0 - fit.mutuality), axis)
     still = make_side(target, fit, np.eye(4), target_weights * target_rest**fit.mutuality, axis)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 
 from .arguments import Array
 
@@ -15,6 +17,17 @@ class StopReason(StrEnum):
     MAX_ITERATION = "max_iteration reached"
     NO_OVERLAP = "no pair of points carries weight"
     DEGENERATE = "the pairs leave the pose undetermined"
+
+
+@dataclass(frozen=True)
+class PoseUncertainty:
+    """covariance : (6, 6), in 2D (3, 3), of δ = (ω, v) in exp(δ)·T; None where no pair carries any weight.
+
+    unobservable : unit tangent directions that the shape leaves free.
+    """
+
+    covariance: Array | None
+    unobservable: tuple[Array, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,13 +45,10 @@ class PointRegistrationResult:
     overlap : estimated share of the source's points that have a partner in the target, 0 to 1.
     row_weights : (M,) probability of each source point to have a partner; 0 where it was dropped.
     dropped_source, dropped_target : points ignored because their covariance is not finite.
-    pose_covariance : (6, 6), in 2D (3, 3), of δ = (ω, v) in exp(δ)·T [rad, input units]; see `pose_covariance`. A free
-        direction has a standard deviation of one radius. None where it was not asked for or no pair has any weight.
-        Its inverse is the information matrix of a pose graph's edge.
-    unobservable : unit tangent directions (ω, v), in normalised coordinates (about the target's centroid, lengths in
-        radii of the clouds), that the points leave free.
     ambiguous : another, clearly different pose explains the clouds as well. Only a global search can tell.
-    warnings : one line for each reason not to trust the result; empty when there is none.
+    doubts : one line for each reason not to trust the result that the registration itself came upon.
+    assess : computes the pose's uncertainty. It costs about as much as some iterations on all points, so it runs when
+        `pose_covariance`, `unobservable` or `warnings` is first asked for; until then the clouds are kept for it.
     """
 
     transformation: Array
@@ -51,10 +61,36 @@ class PointRegistrationResult:
     row_weights: Array
     dropped_source: int
     dropped_target: int
-    pose_covariance: Array | None
-    unobservable: tuple[Array, ...]
     ambiguous: bool
-    warnings: tuple[str, ...]
+    doubts: tuple[str, ...]
+    assess: Callable[[], PoseUncertainty]
+
+    @property
+    def pose_covariance(self) -> Array | None:
+        """(6, 6), in 2D (3, 3), of δ = (ω, v) in exp(δ)·T [rad, input units]; see the module `pose_covariance`.
+
+        A free direction has a standard deviation of one radius. None for the paper's own rules and where no pair has any
+        weight. Its inverse is the information matrix of a pose graph's edge.
+        """
+        return self._uncertainty.covariance
+
+    @property
+    def unobservable(self) -> tuple[Array, ...]:
+        """Unit tangent directions (ω, v), in normalised coordinates (about the target's centroid, lengths in radii of
+        the clouds), that the points leave free."""
+        return self._uncertainty.unobservable
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """One line for each reason not to trust the result; empty when there is none."""
+        free = len(self.unobservable)
+        if not free:
+            return self.doubts
+        return (*self.doubts, f"the shape leaves {free} direction{'s' if free > 1 else ''} of the pose free")
+
+    @cached_property
+    def _uncertainty(self) -> PoseUncertainty:
+        return self.assess()
 
     @property
     def converged(self) -> bool:

@@ -6,14 +6,12 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .arguments import Array
 from .coarse import MergedMixture
 from .expectation import MOST_UNMATCHED
 from .kernels import search as kernel
 from .kernels.compiling import LOG2_SCALE
-from .mixture import PACKED
 from .trace import Iteration
 
 
@@ -37,13 +35,14 @@ class Start:
 class Limits:
     """How far EM goes on a level, and how its ends are compared.
 
-    floor : least σ.   least_unmatched : least share of points without a partner.   step : the last step ‖δ‖.
+    floor : least σ.   least_unmatched : least share of points without a partner.   relative_rmse : as in
+    `em.Criteria`.
     judged_unmatched : the share of points without a partner at which ends are compared, each at its own σ.
     """
 
     floor: float
     least_unmatched: float
-    step: float
+    relative_rmse: float
     judged_unmatched: float = 0.1
 
 
@@ -79,17 +78,17 @@ def run_starts(
     columns = np.array([[s.sigma, s.unmatched, s.fastest, s.iterations, s.follow] for s in starts], np.float64)
     ends = np.empty((len(starts), kernel.END_COLUMNS))
     history = np.empty((len(starts), max(s.iterations for s in starts), kernel.HISTORY_COLUMNS))
-    half = 0.5 * source.dimension
+    half, isotropic = 0.5 * source.dimension, source.isotropic and target.isotropic
     kernel.search(
         poses,
         columns,
-        _packed(source),
-        _packed(target),
-        (source.dimension == 2, source.isotropic and target.isotropic),
+        source.as_source(isotropic),
+        target.as_target(isotropic),
+        (source.dimension == 2, isotropic),
         (2.0 * math.pi * LOG2_SCALE) ** half / volume,
         limits.judged_unmatched,
         (limits.floor, limits.least_unmatched, MOST_UNMATCHED),
-        limits.step,
+        limits.relative_rmse,
         ends,
         history,
     )
@@ -142,23 +141,6 @@ def joined(before: list[End], after: list[End]) -> list[End]:
 def pose_distance(a: Array, b: Array) -> float:
     """‖R_a − R_b‖_F + ‖t_a − t_b‖ of two (4, 4) poses between normalised clouds."""
     return float(np.linalg.norm(a[:3, :3] - b[:3, :3]) + np.linalg.norm(a[:3, 3] - b[:3, 3]))
-
-
-def _packed(mixture: MergedMixture) -> tuple[NDArray[np.float32], ...]:
-    """Points, covariances, spreads and weights as the kernel wants them, in powers of two."""
-
-    def symmetric(matrices: Array) -> NDArray[np.float32]:
-        packed = (np.stack([matrices[:, i, j] for i, j in PACKED]) / LOG2_SCALE).astype(np.float32)
-        if mixture.dimension == 2:
-            packed[5] = 0.0
-        return packed
-
-    return (
-        np.ascontiguousarray(mixture.points.T, np.float32),
-        symmetric(mixture.covariances),
-        symmetric(mixture.spreads),
-        mixture.weights.astype(np.float32),
-    )
 
 
 def _pose(rows: Array) -> Array:

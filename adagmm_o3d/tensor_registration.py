@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -16,7 +17,7 @@ from .kernels.backend import check_device
 from .kernels.cuda.availability import obstacle
 from .options import TransformationEstimationForAdaptiveGMM
 from .points import register_mixtures, register_points
-from .result import PointRegistrationResult
+from .result import PointRegistrationResult, PoseUncertainty
 from .settings import check_criteria
 from .uncertainty import estimate_surface_covariances
 
@@ -108,7 +109,8 @@ def _register_in_place(
     from .kernels.cuda.tensors import current_device, on_the_device
 
     limits = check_criteria(criteria)
-    with current_device(source.point.positions):
+    here = current_device(source.point.positions)
+    with here:
         mixtures = []
         for name, cloud in (("source", source), ("target", target)):
             covariances = _covariances_in_place(name, cloud)
@@ -119,7 +121,13 @@ def _register_in_place(
                     None if covariances is None else on_the_device(covariances),
                 )
             )
-        return register_mixtures(mixtures[0], mixtures[1], init, method, limits, device, callback)
+        details = register_mixtures(mixtures[0], mixtures[1], init, method, limits, device, callback)
+
+    def assess() -> PoseUncertainty:
+        with here:  # by then another device may be the current one
+            return details.assess()
+
+    return replace(details, assess=assess)
 
 
 def _covariances_in_place(name: str, cloud: TensorCloud) -> o3d.core.Tensor | None:

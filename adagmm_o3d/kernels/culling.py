@@ -8,10 +8,10 @@ the same bits for any number of threads.
 import numpy as np
 from numba import njit
 
-from .compiling import FLAGS, formulas
+from .compiling import F0, FAST, FLAGS, formulas
 
-TILE = 64
-GROUP = 16
+TILE = 16
+GROUP = 32
 CLUSTER = 8
 CLUSTERS_PER_CHUNK = 4
 CHUNK = CLUSTER * CLUSTERS_PER_CHUNK
@@ -73,6 +73,59 @@ def next_run(tile, box, sigma, tiles, convolved, n):
     if first < 0:
         return n, n, count
     return first, min(n, tile * TILE), tile
+
+
+# The larger of two is vector code only where NaN is ruled out; points are finite.
+REACH_FLAGS = {**FLAGS, "fastmath": FAST | {"nnan"}}
+
+
+@njit(**REACH_FLAGS)
+def reach_group(g, box, tiles, beyond):
+    """How many tiles of group g a source cluster can reach, for convolved weights: those whose `beyond` is negative.
+
+    `box` is the cluster's (corners, variance, bits); all variances are at their σ.
+    """
+    lo, hi, variance, bits = box
+    tile_lo, tile_hi, tile_variance, tile_bits, group_lo, group_hi, group_variance, group_bits = tiles
+    if gap_sq(lo, hi, group_lo, group_hi, g) >= reach_sq(True, variance, bits, group_variance[g], group_bits[g]):
+        return 0
+    i, j = g * GROUP, min(tile_lo.shape[1], (g + 1) * GROUP)
+    a0, a1, a2, b0, b1, b2 = (
+        tile_lo[0, i:j],
+        tile_lo[1, i:j],
+        tile_lo[2, i:j],
+        tile_hi[0, i:j],
+        tile_hi[1, i:j],
+        tile_hi[2, i:j],
+    )
+    v, b = tile_variance[i:j], tile_bits[i:j]
+    l0, l1, l2, h0, h1, h2 = lo[0], lo[1], lo[2], hi[0], hi[1], hi[2]
+    hits = 0
+    for k in range(v.shape[0]):
+        d0 = max(max(a0[k] - h0, l0 - b0[k]), F0)
+        d1 = max(max(a1[k] - h1, l1 - b1[k]), F0)
+        d2 = max(max(a2[k] - h2, l2 - b2[k]), F0)
+        beyond[k] = d0 * d0 + d1 * d1 + d2 * d2 - (variance + v[k]) * min(bits, b[k])
+        hits += beyond[k] < F0
+    return hits
+
+
+@njit(**REACH_FLAGS)
+def reach_points(tile, box, x, variances, point_bits, beyond, index, count):
+    """Put the points of a tile that a source cluster can reach behind the first `count` of `index`; the new count."""
+    lo, hi, variance, bits = box
+    i, j = tile * TILE, min(variances.shape[0], (tile + 1) * TILE)
+    x0, x1, x2, v, b = x[0, i:j], x[1, i:j], x[2, i:j], variances[i:j], point_bits[i:j]
+    l0, l1, l2, h0, h1, h2 = lo[0], lo[1], lo[2], hi[0], hi[1], hi[2]
+    for k in range(v.shape[0]):
+        d0 = max(max(x0[k] - h0, l0 - x0[k]), F0)
+        d1 = max(max(x1[k] - h1, l1 - x1[k]), F0)
+        d2 = max(max(x2[k] - h2, l2 - x2[k]), F0)
+        beyond[k] = d0 * d0 + d1 * d1 + d2 * d2 - (variance + v[k]) * min(bits, b[k])
+    for k in range(v.shape[0]):
+        index[count] = i + k
+        count += beyond[k] < F0
+    return count
 
 
 @njit(**FLAGS)

@@ -13,6 +13,7 @@ from ..mixture import Mixture
 from .adaptive_sums import adaptive_sums
 from .compiling import LOG2_SCALE
 from .convolution_sums import convolution_sums
+from .convolved_pass import FACTOR, MATRIX, pack
 from .culling import CHUNK, CLUSTER
 from .layout import GRADIENT, HESSIAN, TOTAL_ENERGY, TOTAL_LIKELIHOOD, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
 from .nearest import nearest_sq
@@ -50,11 +51,13 @@ class PosteriorSums(PairSums):
 
     log_likelihood : Σ over both clouds of weight · log(1 + density of the other mixture / uniform density).
     overlap, target_overlap : share of the source, of the target, that has a partner.
+    column_densities : (N,) density of the source mixture at the target points, in the unit of `uniform`.
     """
 
     log_likelihood: float
     overlap: float
     target_overlap: float
+    column_densities: Array
 
 
 def amplitudes_and_bits(mixture: Mixture) -> tuple[Array, Array]:
@@ -107,9 +110,8 @@ class PairLoop:
         self._bands = min(BANDS, -(-len(source) // CLUSTER))
         self._threads = max(1, min(numba.get_num_threads(), len(source) * len(target) // PAIRS_PER_THREAD))
         self._precisions: tuple[Float32, Float32] | None = None
-        self._covariances: tuple[Float32, Float32] | None = None
+        self._convolved: tuple[Float32, Float32, Float32] | None = None
         self._scaled = np.empty((1 if self._isotropic else 6, len(target)), np.float32)
-        self._columns = np.empty((self._bands, len(target)), np.float32)
 
     def sums(self, pose: Array, source_sigma: float, target_sigma: float) -> PairSums:
         """The paper's E-step at `pose` (4, 4), the covariances of either side times its σ, summed up for the M-step."""
@@ -140,59 +142,65 @@ class PairLoop:
             source.restore(row_weights),
         )
 
-    def posterior_sums(
-        self, pose: Array, sigma: float, uniform: float, column_densities: Array | None = None, mutuality: float = 0.0
-    ) -> tuple[PosteriorSums, Array]:
-        """The E-step on convolved Gaussians at `pose` (4, 4), summed up for the M-step; and the column densities.
+    def posterior_sums(self, pose: Array, sigma: float, uniform: float, mutuality: float = 0.0) -> PosteriorSums:
+        """The E-step on convolved Gaussians at `pose` (4, 4), summed up for the M-step.
 
         uniform : density of the points without a partner, in units of (2π)^(-D/2) per normalised volume.
-        column_densities : (N,) density of the source mixture at the target points, as the pass before returned it.
         mutuality : 0 to 1/2. A pair has two posteriors, seen from the source (the share it has of the density at the
             source point) and seen from the target. Its weight is their weighted geometric mean, the second to the power
-            of `mutuality`: at 0 column densities are not needed, 1/2 treats both clouds alike.
+            of `mutuality`: 1/2 treats both clouds alike. Above 0 it takes a pass over the pairs of its own.
         """
         source, target = self._source, self._target
-        if self._covariances is None:
-            self._covariances = source.covariances(), target.covariances()
-        np.multiply(self._covariances[1], np.float32(sigma), out=self._scaled)
-        factor = np.ones(len(target.order), np.float32)
-        if mutuality > 0.0:
-            assert column_densities is not None
-            factor = _float32((uniform / (column_densities[target.order] + uniform)) ** mutuality)
+        if self._convolved is None:
+            matrices, target_matrices = source.covariances(), target.covariances()
+            self._convolved = matrices, target_matrices, pack(target.points, target.weights32, len(matrices))
+        matrices, target_matrices, packed = self._convolved
+        scale, n = np.float32(sigma), len(target.order)
+        np.multiply(target_matrices, scale, out=packed[MATRIX:, :n])
+        packed[FACTOR, :n] = 1.0
+        columns = np.empty((self._bands, packed.shape[1]), np.float32)
         partials, densities = np.empty((self._bands, TOTAL_SUMS)), np.empty(len(source.order))
         unit = LOG2_SCALE ** (1.0 if self._planar else 1.5)  # |Σ|^(-1/2) in powers of two
-        self._run(
-            convolution_sums,
-            _packed_pose(pose),
-            np.array([sigma, sigma], np.float32),
-            (source.points, self._covariances[0], source.weights, source.weights32, source.variances, source.bits),
-            (target.points, self._scaled, target.weights32, factor),
-            self._tiles,
-            self._isotropic,
-            self._planar,
-            uniform * unit,
-            mutuality,
-            self._bands,
-            self._columns,
-            partials,
-            densities,
-        )
+
+        def column_densities(columns_only: bool) -> Array:
+            self._run(
+                convolution_sums,
+                _packed_pose(pose),
+                (
+                    source.points,
+                    matrices * scale,
+                    source.weights,
+                    source.weights32,
+                    source.variances * scale,
+                    source.bits,
+                ),
+                (packed, target.variances * scale, target.bits),
+                self._tiles.at(scale),
+                (self._planar, self._isotropic, columns_only),
+                uniform * unit,
+                mutuality,
+                columns,
+                partials,
+                densities,
+            )
+            return np.add.reduce(columns[:, :n], axis=0, dtype=np.float64) / (unit * target.weights)
+
+        if mutuality > 0.0:
+            packed[FACTOR, :n] = (uniform / (column_densities(True) + uniform)) ** mutuality
+        at_target = column_densities(False)
         total = total_of(partials)
-        columns = np.add.reduce(self._columns, axis=0, dtype=np.float64) / (unit * target.weights)
         densities /= unit
-        posterior = densities / (densities + uniform)
-        log_likelihood = total[TOTAL_LIKELIHOOD] + float(target.weights @ np.log1p(columns / uniform))
-        sums = PosteriorSums(
+        return PosteriorSums(
             symmetric(total[HESSIAN:GRADIENT]),
             total[GRADIENT:TOTAL_WEIGHT],
             total[TOTAL_WEIGHT],
             total[TOTAL_ENERGY],
-            source.restore(posterior),
-            log_likelihood,
+            source.restore(densities / (densities + uniform)),
+            total[TOTAL_LIKELIHOOD] + float(target.weights @ np.log1p(at_target / uniform)),
             total[TOTAL_MATCHED],
-            float(target.weights @ (columns / (columns + uniform))),
+            float(target.weights @ (at_target / (at_target + uniform))),
+            target.restore(at_target),
         )
-        return sums, target.restore(columns)
 
     def nearest_sq(self, pose: Array) -> Array:
         """(M,) squared distance of each source point at `pose` to its nearest target point."""

@@ -1,4 +1,4 @@
-"""The whole EM loop compiled, serial and without culling, for many starts at once on small mixtures.
+"""The whole EM loop compiled, serial, for many starts at once on small mixtures.
 
 One start is a few hundred thousand pairs in all: less than it would cost to come back to Python after every iteration.
 Starts run in parallel and independently of each other.
@@ -9,21 +9,19 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from .compiling import F0, F1, FLAGS, KERNEL_FLAGS, LOG2_SCALE, formulas, source_stamp
-from .convolution_sums import row_convolved, row_convolved_isotropic
-from .layout import (
-    DENSITY,
-    GRADIENT,
-    ROW_SUMS,
-    TOTAL_ENERGY,
-    TOTAL_LIKELIHOOD,
-    TOTAL_MATCHED,
-    TOTAL_SUMS,
-    TOTAL_WEIGHT,
+from .acceleration import (
+    LOG_SIGMA,
+    MEMORY,
+    STATE,
+    TURN_AND_SHIFT,
+    UNMATCHED_SHARE,
+    accelerated_step,
+    forget,
 )
-from .normal_equations import add_row
-
-rotate_point, rotate_symmetric = formulas.rotate_point, formulas.rotate_symmetric
+from .compiling import F0, FLAGS, KERNEL_FLAGS, LOG2_SCALE, source_stamp
+from .convolved_pass import MATRIX, SHARE, convolved_pass
+from .culling import CLUSTER
+from .layout import GRADIENT, TOTAL_ENERGY, TOTAL_LIKELIHOOD, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
 
 # What is known of a start, one column each.
 SIGMA, UNMATCHED, FASTEST, ITERATIONS, FOLLOW = range(5)
@@ -59,7 +57,7 @@ def solve(total, planar, delta):
         for k in range(i):
             s -= factor[i, k] * x[k]
         x[i] = s / factor[i, i]
-    delta[:] = 0.0
+    delta[:TURN_AND_SHIFT] = 0.0
     for i in range(n - 1, -1, -1):
         s = x[i]
         for k in range(i + 1, n):
@@ -93,83 +91,76 @@ def move(delta, pose):
 
 
 @njit(**FLAGS)
-def one_pass(pose, sigma, uniform, source, target, kind, work, total):
-    """All pairs at `pose`: fills `total`; the likelihood in it is that of both clouds.
+def at_scale(values, spreads, sigma, scaled):
+    """σ · values + spreads, into `scaled`."""
+    for r in range(values.shape[0]):
+        for i in range(values.shape[1]):
+            scaled[r, i] = sigma * values[r, i] + spreads[r, i]
 
-    kind : (planar, isotropic); isotropic also means that nothing has been merged.
-    """
-    planar, isotropic = kind
-    points, covariances, spreads, weights = source
-    x, a, k, share = target
-    scaled, columns, factor, turned, y = work
-    n_all = x.shape[1]
-    for j in range(n_all):
-        for i in range(1 if isotropic else 6):
-            scaled[i, j] = sigma * a[i, j] + k[i, j]
-    columns[:] = F0
+
+@njit(**FLAGS)
+def one_pass(pose, sigma, uniform, source, target, kind, work, total):
+    """All pairs at `pose`: fills `total`; the likelihood in it is that of both clouds."""
+    points, covariances, spreads, weights, weights32, reach, reach_spreads, bits = source
+    packed, a, k, target_reach, target_reach_spreads, target_bits, tile_spreads, group_spreads = target[:8]
+    matrices, own_packed, own_reach, own_target_reach, tile_reach, group_reach, column, densities = work
+    tile_lo, tile_hi, tile_variance, tile_bits, group_lo, group_hi, group_variance, group_bits = target[8:]
+    n = a.shape[1]
+    at_scale(covariances, spreads, sigma, matrices)
+    at_scale(a, k, sigma, own_packed[MATRIX:, :n])
+    at_scale(reach, reach_spreads, sigma, own_reach)
+    at_scale(target_reach, target_reach_spreads, sigma, own_target_reach)
+    at_scale(tile_variance.reshape(1, -1), tile_spreads, sigma, tile_reach)
+    at_scale(group_variance.reshape(1, -1), group_spreads, sigma, group_reach)
     total[:] = 0.0
-    row = np.zeros(ROW_SUMS)
-    still = np.zeros(6, np.float32)
-    for m in range(points.shape[1]):
-        y[0], y[1], y[2] = rotate_point(pose, points[0, m], points[1, m], points[2, m])
-        row[:] = 0.0
-        if isotropic:
-            row_convolved_isotropic(
-                x[0], x[1], x[2], scaled[0], share, factor, planar,
-                weights[m], y[0], y[1], y[2], sigma * covariances[0, m], columns, row,
-            )  # fmt: skip
-        else:
-            turned[0], turned[1], turned[2], turned[3], turned[4], turned[5] = rotate_symmetric(
-                pose,
-                sigma * covariances[0, m] + spreads[0, m],
-                sigma * covariances[1, m] + spreads[1, m],
-                sigma * covariances[2, m] + spreads[2, m],
-                sigma * covariances[3, m] + spreads[3, m],
-                sigma * covariances[4, m] + spreads[4, m],
-                sigma * covariances[5, m] + spreads[5, m],
-            )
-            if planar:
-                turned[5] = F1
-            row_convolved(
-                x[0], x[1], x[2], scaled[0], scaled[1], scaled[2], scaled[3], scaled[4], scaled[5], share, factor,
-                weights[m], y[0], y[1], y[2],
-                turned[0], turned[1], turned[2], turned[3], turned[4], turned[5], columns, row,
-            )  # fmt: skip
-        posterior = 1.0 / (row[DENSITY] + uniform)
-        total[TOTAL_LIKELIHOOD] += weights[m] * math.log1p(row[DENSITY] / uniform)
-        total[TOTAL_MATCHED] += weights[m] * row[DENSITY] * posterior
-        add_row(row, weights[m] * posterior, y[0], y[1], y[2], still, total)
-    for j in range(n_all):
-        total[TOTAL_LIKELIHOOD] += share[j] * math.log1p(columns[j] / (share[j] * uniform))
+    column[:] = F0
+    convolved_pass(
+        pose,
+        (points, matrices, weights, weights32, own_reach[0], bits),
+        (own_packed, own_target_reach[0], target_bits),
+        (tile_lo, tile_hi, tile_reach[0], tile_bits, group_lo, group_hi, group_reach[0], group_bits),
+        (kind[0], kind[1], False), uniform, 0.0, (0, (points.shape[1] + CLUSTER - 1) // CLUSTER), column, total, densities,
+    )  # fmt: skip
+    for j in range(n):
+        share = packed[SHARE, j]
+        total[TOTAL_LIKELIHOOD] += share * math.log1p(column[j] / (share * uniform))
 
 
 def _build(stamp):
     """The kernel that is called from Python; `stamp` keeps its cache fresh."""
 
     @njit(**KERNEL_FLAGS)
-    def search(poses, starts, source, target, kind, world, judged, bounds, step, ends, history):
+    def search(poses, starts, source, target, kind, world, judged, bounds, relative_rmse, ends, history):
         """Run every start; `poses` (S, 12) move, `ends` (S, END_COLUMNS) tell where they came to.
 
         world : density of a uniform mixture of all points.   judged : unmatched share at which the likelihoods of the
-        ends are taken, each at its own σ.   bounds : (floor of σ, least, greatest unmatched share).   step : a start is
-        done when ‖δ‖ is below and σ has settled.   history : (S, most iterations, HISTORY_COLUMNS).
+        ends are taken, each at its own σ.   kind : (planar, isotropic).   bounds : (floor of σ, least, greatest unmatched share).
+        relative_rmse : a start is done when ‖δ‖² is below this share of σ and σ has settled.   history : (S, most iterations, HISTORY_COLUMNS).
         """
         _ = stamp
         floor, least, greatest = bounds
         planar = kind[0]
         dimension = 2 if planar else 3
-        n_all = target[0].shape[1]
+        m, n = source[0].shape[1], target[1].shape[1]
+        matrix_rows, padded = target[1].shape[0], target[0].shape[1]
+        tile_count, group_count = target[6].shape[1], target[7].shape[1]
         for s in prange(starts.shape[0]):
             pose = poses[s]
             pose32 = np.empty(12, np.float32)
-            scaled = np.empty((6, n_all), np.float32)
-            columns = np.empty(n_all, np.float32)
-            factor = np.ones(n_all, np.float32)
-            turned = np.empty(6, np.float32)
-            y = np.empty(3, np.float32)
-            work = (scaled, columns, factor, turned, y)
+            work = (
+                np.empty((matrix_rows, m), np.float32),
+                target[0].copy(),
+                np.empty((1, m), np.float32),
+                np.empty((1, n), np.float32),
+                np.empty((1, tile_count), np.float32),
+                np.empty((1, group_count), np.float32),
+                np.empty(padded, np.float32),
+                np.empty(m),
+            )
             total = np.empty(TOTAL_SUMS)
-            delta = np.empty(6)
+            residual, taken = np.empty(STATE), np.empty(STATE)
+            memory = np.zeros((2 * MEMORY + 3, STATE))
+            forget(memory)
             sigma = starts[s, SIGMA]
             unmatched = starts[s, UNMATCHED]
             ends[s, END_ITERATIONS] = starts[s, ITERATIONS]
@@ -178,20 +169,28 @@ def _build(stamp):
                 pose32[:] = pose
                 uniform = world * unmatched / (1.0 - unmatched)
                 one_pass(pose32, np.float32(sigma), uniform, source, target, kind, work, total)
-                solve(total, planar, delta)
-                move(delta, pose)
+                solve(total, planar, residual)
                 energy = total[TOTAL_ENERGY] / (LOG2_SCALE * max(total[TOTAL_WEIGHT], 1e-300))
+                wanted = max(starts[s, FOLLOW] * sigma * energy / dimension, floor)
+                new = max(starts[s, FASTEST] * sigma, wanted)
+                moved = 0.0
+                for i in range(TURN_AND_SHIFT):
+                    moved += residual[i] * residual[i]
+                still = moved <= relative_rmse * sigma and abs(new - sigma) < 0.01 * sigma
+                residual[LOG_SIGMA] = math.log(new / sigma)
+                residual[UNMATCHED_SHARE] = min(max(1.0 - total[TOTAL_MATCHED], least), greatest) - unmatched
+                if new > wanted:
+                    forget(memory)
+                    taken[:] = residual
+                else:
+                    accelerated_step(residual, math.sqrt(sigma), memory, taken)
+                    new = max(sigma * math.exp(taken[LOG_SIGMA]), starts[s, FASTEST] * sigma, floor)
+                move(taken, pose)
                 history[s, iteration, :12] = pose
                 history[s, iteration, HISTORY_SIGMA] = sigma
                 history[s, iteration, HISTORY_ENERGY] = energy
                 history[s, iteration, HISTORY_MATCHED] = total[TOTAL_MATCHED]
-                observed = sigma * energy / dimension
-                new = max(starts[s, FASTEST] * sigma, starts[s, FOLLOW] * observed, floor)
-                unmatched = min(max(1.0 - total[TOTAL_MATCHED], least), greatest)
-                moved = 0.0
-                for i in range(6):
-                    moved += delta[i] * delta[i]
-                still = moved <= step * step and abs(new - sigma) < 0.01 * sigma
+                unmatched = min(max(unmatched + taken[UNMATCHED_SHARE], least), greatest)
                 sigma = new
                 if still:
                     ends[s, END_ITERATIONS] = iteration + 1

@@ -24,6 +24,10 @@ class Tiles(NamedTuple):
     group_variance: Float32
     group_bits: Float32
 
+    def at(self, sigma: np.float32) -> Tiles:
+        """The same tiles with every variance times σ."""
+        return self._replace(variance=self.variance * sigma, group_variance=self.group_variance * sigma)
+
 
 def make_tiles(points: Float32, variances: Float32, bits: Float32) -> Tiles:
     """The tiles of (3, n) ordered points, largest principal variance and bits of each; see `culling.reach_sq`."""

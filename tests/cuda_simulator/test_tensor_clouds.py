@@ -7,11 +7,18 @@ import open3d as o3d
 import pytest
 from mixtures import random_pose
 
-from adagmm_o3d import estimate_surface_covariances, registration_adaptive_gmm, tensor_registration
+from adagmm_o3d import (
+    TransformationEstimationForAdaptiveGMM,
+    estimate_surface_covariances,
+    registration_adaptive_gmm,
+    tensor_registration,
+)
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.kernels.cuda import cloud, pair_loop, tensors
 from adagmm_o3d.kernels.cuda.front_end import TILE, cuda
 
+# With mutuality, small clouds are refined on the device as well.
+METHOD = TransformationEstimationForAdaptiveGMM(mutuality=0.5)
 CRITERIA = o3d.t.pipelines.registration.ICPConvergenceCriteria(1e-6, 1e-6, 4)
 
 
@@ -45,11 +52,11 @@ def pair(with_covariances, dtype):
 @pytest.mark.parametrize(("with_covariances", "dtype"), [(True, o3d.core.float32), (False, o3d.core.float64)])
 def test_a_registration_ends_where_it_does_on_the_host(with_covariances, dtype, caplog):
     source, target, T = pair(with_covariances, dtype)
-    expected = registration_adaptive_gmm(source, target, 0.1, criteria=CRITERIA, device="cpu")
+    expected = registration_adaptive_gmm(source, target, 0.1, estimation_method=METHOD, criteria=CRITERIA, device="cpu")
     lines = []
     with caplog.at_level(logging.INFO, logger="adagmm_o3d"):
         result = registration_adaptive_gmm(
-            source, target, 0.1, criteria=CRITERIA, callback_after_iteration=lines.append
+            source, target, 0.1, estimation_method=METHOD, criteria=CRITERIA, callback_after_iteration=lines.append
         )
     assert caplog.records == []
     assert isinstance(result, o3d.t.pipelines.registration.RegistrationResult)
@@ -72,8 +79,10 @@ def test_a_registration_ends_where_it_does_on_the_host(with_covariances, dtype, 
 @pytest.mark.parametrize("options", [{"init": "global"}, {"voxel_size": 0.4}])
 def test_options_work_there_as_well(options):
     source, target, _ = pair(True, o3d.core.float64)
-    expected = registration_adaptive_gmm(source, target, 0.1, criteria=CRITERIA, device="cpu", **options)
-    result = registration_adaptive_gmm(source, target, 0.1, criteria=CRITERIA, **options)
+    expected = registration_adaptive_gmm(
+        source, target, 0.1, estimation_method=METHOD, criteria=CRITERIA, device="cpu", **options
+    )
+    result = registration_adaptive_gmm(source, target, 0.1, estimation_method=METHOD, criteria=CRITERIA, **options)
     np.testing.assert_allclose(result.transformation.numpy(), expected.transformation.numpy(), rtol=0, atol=1e-5)
 
 

@@ -6,11 +6,12 @@ more back; what there is for every point stays on the device until it is read.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ...arguments import Array
 from ...mixture import Mixture
@@ -19,7 +20,7 @@ from ..layout import GRADIENT, HESSIAN, TOTAL_ENERGY, TOTAL_LIKELIHOOD, TOTAL_MA
 from ..pair_loop import PairSums, PosteriorSums, symmetric, total_of
 from . import adaptive_rows, convolved_columns, convolved_rows, moving, nearest, reductions, scores
 from .front_end import TILE, cuda
-from .held import Held, Late, Turn, upload
+from .held import Held, Turn, upload
 from .reductions import COLUMN_LIKELIHOOD, COLUMN_MATCHED, COLUMN_SUMS
 from .sides import make_side
 from .tiles import tiled
@@ -76,26 +77,34 @@ class CudaPosteriorSums(PosteriorSums):
     """`PosteriorSums` whose row_weights are read from the device, and what the target has to say is worked out there,
     when they are asked for."""
 
-    def __init__(self, total: Array, rows: Held, columns: Late) -> None:
+    def __init__(self, total: Array, rows: Held, find_columns: Callable[[], tuple[Held, Array]]) -> None:
         self.__dict__.update(
             _of_total(total),
             overlap=float(total[TOTAL_MATCHED]),
             _rows=rows,
-            _columns=columns,
+            _find_columns=find_columns,
             _likelihood=float(total[TOTAL_LIKELIHOOD]),
         )
 
     @cached_property
-    def log_likelihood(self) -> float:  # type: ignore[override]
-        return self.__dict__["_likelihood"] + float(self.__dict__["_columns"].totals[COLUMN_LIKELIHOOD])
-
-    @cached_property
-    def target_overlap(self) -> float:  # type: ignore[override]
-        return float(self.__dict__["_columns"].totals[COLUMN_MATCHED])
-
-    @cached_property
     def row_weights(self) -> Array:  # type: ignore[override]
         return self.__dict__["_rows"].read()
+
+    @cached_property
+    def _columns(self) -> tuple[Held, Array]:
+        return self.__dict__["_find_columns"]()
+
+    @property
+    def column_densities(self) -> Array:  # type: ignore[override]
+        return self._columns[0].read()
+
+    @property
+    def log_likelihood(self) -> float:  # type: ignore[override]
+        return self.__dict__["_likelihood"] + float(self._columns[1][COLUMN_LIKELIHOOD])
+
+    @property
+    def target_overlap(self) -> float:  # type: ignore[override]
+        return float(self._columns[1][COLUMN_MATCHED])
 
 
 def _of_total(total: Array) -> dict[str, Any]:
@@ -130,10 +139,9 @@ class CudaPairLoop:
         self._row_partials = cuda.device_array((TOTAL_SUMS, self._source_tiles), np.float64)
         self._column_partials = cuda.device_array((COLUMN_SUMS, self._target_tiles), np.float64)
         self._totals = cuda.device_array(TOTAL_SUMS + COLUMN_SUMS, np.float64)
-        self._row_turn = Turn([(m, np.float64)], self._source.restore, len(source))
-        self._column_turn = Turn(
-            [(n, np.float64), ((self._target_tiles, TILE), np.float32)], self._target.restore, len(target)
-        )
+        self._densities32 = cuda.device_array((self._target_tiles, TILE), np.float32)
+        self._row_turn = Turn(m, self._source.restore, len(source))
+        self._column_turn = Turn(n, self._target.restore, len(target))
 
     def sums(self, pose: Array, source_sigma: float, target_sigma: float) -> CudaPairSums:
         """As `PairLoop.sums`."""
@@ -142,28 +150,20 @@ class CudaPairLoop:
         self.launch_adaptive_rows(source_sigma, target_sigma)
         weights = self._row_turn.take()
         self._kernels.reduce_adaptive[self._source_tiles, TILE](
-            self._moved, self._rows, amplitudes, weights.buffers[0], self._row_partials
+            self._moved, self._rows, amplitudes, weights.buffer, self._row_partials
         )
         return CudaPairSums(self._add_up(TOTAL_SUMS)[:TOTAL_SUMS], weights)
 
-    def posterior_sums(
-        self,
-        pose: Array,
-        sigma: float,
-        uniform: float,
-        column_densities: ArrayLike | Late | None = None,
-        mutuality: float = 0.0,
-    ) -> tuple[CudaPosteriorSums, Late]:
-        """As `PairLoop.posterior_sums`; the column densities are on the device, and `numpy.asarray` reads them.
+    def posterior_sums(self, pose: Array, sigma: float, uniform: float, mutuality: float = 0.0) -> CudaPosteriorSums:
+        """As `PairLoop.posterior_sums`.
 
-        They take a second pass over all pairs. The next E-step needs them if this one did; else they wait until
-        somebody asks.
+        The target's densities take a pass over all pairs of their own, before that for the source where mutuality needs
+        them, else when somebody asks.
         """
-        old_densities32 = self._old_columns(column_densities, mutuality)
         source, _, source_weights, _ = self._covariances
         self._move(pose, np.float32(sigma), self._flat, source)
         columns = self._reduced_columns(sigma, uniform) if mutuality > 0.0 else None
-        self.launch_convolved_rows(sigma, uniform, mutuality, old_densities32)
+        self.launch_convolved_rows(sigma, uniform, mutuality)
         posteriors = self._row_turn.take()
         reductions.reduce_convolved[self._source_tiles, TILE](
             self._moved,
@@ -171,7 +171,7 @@ class CudaPairLoop:
             source_weights,
             float(uniform * self._unit),
             float(mutuality),
-            posteriors.buffers[0],
+            posteriors.buffer,
             self._row_partials,
         )
         totals = self._add_up(TOTAL_SUMS if columns is None else TOTAL_SUMS + COLUMN_SUMS)
@@ -184,21 +184,19 @@ class CudaPairLoop:
             reductions.total[COLUMN_SUMS, reductions.ADDERS](self._column_partials, self._column_partials, self._totals)
             return found, self._totals.copy_to_host()[:COLUMN_SUMS]
 
-        late = Late(find_columns)
-        return CudaPosteriorSums(totals[:TOTAL_SUMS], posteriors, late), late
+        return CudaPosteriorSums(totals[:TOTAL_SUMS], posteriors, find_columns)
 
     def _reduced_columns(self, sigma: float, uniform: float) -> Held:
         """The column densities, with the source where it was last moved to, and their sums tile by tile."""
         self.launch_convolved_columns(sigma)
         columns = self._column_turn.take()
-        densities, densities32 = columns.buffers
         reductions.reduce_columns[self._target_tiles, TILE](
             self._column_parts,
             self._unit,
             self._covariances[3],
             float(uniform),
-            densities,
-            densities32,
+            columns.buffer,
+            self._densities32,
             self._column_partials,
         )
         return columns
@@ -263,7 +261,7 @@ class CudaPairLoop:
             self._rows,
         )
 
-    def launch_convolved_rows(self, sigma: float, uniform: float, mutuality: float, densities32: Any) -> None:
+    def launch_convolved_rows(self, sigma: float, uniform: float, mutuality: float) -> None:
         """The pairs of `posterior_sums`, seen from the source, with the source where the last pass has moved it."""
         self._kernels.convolved_rows[(self._source_tiles, self._row_shares), TILE](
             self._moved,
@@ -272,7 +270,7 @@ class CudaPairLoop:
             self._target_boxes,
             np.float32(sigma),
             self._flat,
-            densities32,
+            self._densities32,
             np.float32(uniform),
             np.float32(mutuality),
             self._rows,
@@ -293,7 +291,7 @@ class CudaPairLoop:
     def work_arrays(self) -> list[Any]:
         """Every array on the device that a pass fills before it reads it; a check may spoil them beforehand."""
         arrays = [self._moved, self._moved_boxes, self._rows, self._column_parts, self._row_partials]
-        arrays += [self._column_partials, self._totals, self._nearest_parts, self._nearest]
+        arrays += [self._column_partials, self._densities32, self._totals, self._nearest_parts, self._nearest]
         return arrays + self._row_turn.arrays() + self._column_turn.arrays()
 
     @cached_property
@@ -321,15 +319,6 @@ class CudaPairLoop:
         self._kernels.move[self._source_tiles, TILE](
             rows, scale, flat, source, self._source_boxes, self._moved, self._moved_boxes
         )
-
-    def _old_columns(self, densities: ArrayLike | Late | None, mutuality: float) -> Any:
-        """(target tiles, TILE) float32 column densities on the device; any such array where they have no part."""
-        if mutuality == 0.0:
-            return self._column_turn.arrays()[1]
-        if isinstance(densities, Late) and self._column_turn.holds(densities.held):
-            return densities.held.buffers[1]
-        assert densities is not None
-        return upload(tiled(np.asarray(densities)[self._target.order].astype(np.float32), 0.0))
 
     def _add_up(self, sums: int) -> Array:
         reductions.total[sums, reductions.ADDERS](self._row_partials, self._column_partials, self._totals)

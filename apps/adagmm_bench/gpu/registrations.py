@@ -83,7 +83,7 @@ def crossing_point(repeats: int) -> int | None:
         for loop in (PairLoop(source, target), CudaPairLoop(source, target)):
 
             def run(loop=loop):
-                return loop.posterior_sums(np.eye(4), CROSSING_SIGMA, CROSSING_UNIFORM)[0].energy
+                return loop.posterior_sums(np.eye(4), CROSSING_SIGMA, CROSSING_UNIFORM).energy
 
             run()
             seconds.append(_median_seconds(run, 5 * repeats))

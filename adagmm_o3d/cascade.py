@@ -14,30 +14,33 @@ from functools import cached_property
 import numpy as np
 
 from .arguments import Array
-from .coarse import MergedMixture, merge, sample
+from .coarse import MergedMixture, count_certain, merge, sample
 from .em import Criteria, Outcome, expectation_maximisation
 from .expectation import FASTEST, LEAST_UNMATCHED, SIGMA_FLOOR, PosteriorExpectation
 from .mixture import Mixture
 from .neighbors import NeighborIndex
+from .order_statistics import quantile
 from .pairs import Pairs
 from .pose_covariance import Fit
 from .result import StopReason
 from .start_search import End, Limits, Start, distinct, joined, pose_distance, run_starts
 from .trace import Iteration
 
-# Components of the coarsest level, points of the one that ranks the search, and of the one that decides. Clouds of up
-# to SMALL points decide with all of them; a search among small clouds does better on a part (heavy noise above all).
-MERGED, RANKING, DECIDING, SMALL, SMALL_DECIDING = 200, 400, 1000, 1100, 500
+# Components of the level on which a search tries its many starts and of the one on which few go on, points of the one
+# that ranks those, and of the one that decides. Clouds of up to SMALL points decide with all of them; a search among
+# small clouds does better on a part (heavy noise above all).
+SKETCHED, MERGED, RANKING, DECIDING, SMALL, SMALL_DECIDING = 64, 200, 400, 1000, 1100, 500
 # How far EM goes on each: what so many components can tell.
 MERGED_LIMITS = Limits(floor=2e-3, least_unmatched=0.05, relative_rmse=5e-4)
 RANKING_LIMITS = Limits(floor=1e-3, least_unmatched=0.05, relative_rmse=1e-3)
 DECIDING_LIMITS = Limits(floor=SIGMA_FLOOR, least_unmatched=0.15, relative_rmse=4e-4)
 # How many candidates go on from a level, and how far apart they have to be (see `pose_distance`).
-KEPT_MERGED, APART_MERGED = 4, 0.12
+KEPT_SKETCHED, KEPT_MERGED, APART_MERGED = 8, 4, 0.12
 KEPT_RANKING, APART_RANKING = 2, 0.04
 APART_DECIDING = 0.02
-# Residuals within half the distance between neighbouring points are no coincidence: no search is needed.
-TIGHT = 0.5
+# Residuals within half the distance between neighbouring points are no coincidence where most points have a partner:
+# no search is needed. Of a part of the points that much is found in many poses.
+TIGHT, TIGHT_UNMATCHED = 0.5, 0.25
 PROBES = 150
 SPACING_FROM = 20_000
 
@@ -46,12 +49,13 @@ class Cascade:
     """Two normalised mixtures and their coarser levels, each made when it is first needed.
 
     volume : that over which points without a partner are spread, see `expectation.OPEN_VOLUME`.
+    small : whether all points decide; those flagged as outliers, which carry no weight, do not count.
     """
 
     def __init__(self, source: Mixture, target: Mixture, volume: float) -> None:
         self.source, self.target, self.volume = source, target, volume
         self._samples: dict[int, tuple[MergedMixture, MergedMixture]] = {}
-        self.small = max(len(source), len(target)) <= SMALL
+        self.small = max(count_certain(source), count_certain(target)) <= SMALL
 
     @cached_property
     def _merged(self) -> tuple[MergedMixture, MergedMixture]:
@@ -70,7 +74,9 @@ class Cascade:
 
     def is_tight(self, end: End) -> bool:
         """Whether the residuals of an end are so small beside the spacing of the points that it must be right."""
-        variance = sum(float(np.median(m.variances())) for m in (self.source, self.target))
+        if end.unmatched > TIGHT_UNMATCHED:
+            return False
+        variance = sum(float(quantile(m.variances, 0.5)) for m in (self.source, self.target))
         return math.sqrt(end.sigma * variance) <= TIGHT * _spacing(self.target)
 
     def search(self, starts: list[Start], trusted: tuple[End, End]) -> list[End]:
@@ -80,7 +86,17 @@ class Cascade:
         if self.small:
             size = SMALL_DECIDING
             decided = self._decide([merged], size)[0]
-        ends = self._run_merged(starts)
+        sketched = run_starts(
+            merge(self.source, SKETCHED),
+            merge(self.target, SKETCHED),
+            starts,
+            limits=MERGED_LIMITS,
+            volume=self.volume,
+            level=0,
+        )
+        sketched = distinct(sketched, KEPT_SKETCHED, APART_MERGED)
+        again = [Start(end.pose, 2.0 * MERGED_LIMITS.floor, end.unmatched, 0.65, 4, follow=0.0) for end in sketched]
+        ends = joined(sketched, self._run_merged(again))
         kept = [end for end in distinct([merged, *ends], KEPT_MERGED, APART_MERGED) if end is not merged]
         again = [Start(end.pose, 2.0 * MERGED_LIMITS.floor, end.unmatched, 0.65, 6, follow=0.0) for end in kept]
         ranked = run_starts(
@@ -171,4 +187,4 @@ def _spacing(mixture: Mixture) -> float:
     probes = np.linspace(0, len(points) - 1, min(PROBES, len(points))).astype(np.intp)
     flat = np.ascontiguousarray(points[:, : mixture.dimension])
     nearest = NeighborIndex(flat).query(flat[probes], 2)[1][:, 1]
-    return float(np.sqrt(np.median(nearest))) * thinning
+    return math.sqrt(quantile(nearest, 0.5)) * thinning

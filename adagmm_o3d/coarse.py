@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from .arguments import Array
 from .kernels.compiling import LOG2_SCALE
-from .kernels.convolved_pass import pack
+from .kernels.convolved_pass import MATRIX, pack
 from .kernels.farthest_points import farthest_points
 from .kernels.tiles import Float32, make_tiles, morton_order
-from .mixture import PACKED, Mixture, largest_variances
+from .mixture import PACKED, Mixture
 
 # A cloud is thinned to this many points before it is merged; more say nothing about so few components.
 MERGE_FROM = 4096
@@ -30,66 +30,65 @@ COARSE_BITS = 12.0
 class MergedMixture:
     """Components of which each stands for many: its covariance at scale σ is σ · covariances + spreads.
 
-    points (n, 3), covariances (n, 3, 3), spreads (n, 3, 3) the scatter of the points merged, weights (n,) summing to 1.
+    points (n, 3), covariances (n, 3, 3), spreads (n, 3, 3) the scatter of the points merged, weights (n,) summing to 1,
+    largest_variances (n,) no less than the largest eigenvalue of each covariance.
     """
 
     points: Array
     covariances: Array
     spreads: Array
     weights: Array
+    largest_variances: Array
     dimension: int
     isotropic: bool = False
 
     def as_source(self, isotropic: bool) -> tuple[Any, ...]:
         """The components as `kernels.search` wants a source; `isotropic` says whether those of both sides are."""
-        order, reach, reach_spreads, bits = self._reach
-        matrices, spreads = self._matrices(isotropic)
-        weights = self.weights[order]
-        points = np.ascontiguousarray(self.points[order].T, np.float32)
-        return points, matrices, spreads, weights, weights.astype(np.float32), reach[None], reach_spreads[None], bits
+        points, matrices, spreads, *rest = self._source
+        rows = 1 if isotropic else 6
+        return points, matrices[:rows], spreads[:rows], *rest
 
     def as_target(self, isotropic: bool) -> tuple[Any, ...]:
         """The components as `kernels.search` wants a target; `isotropic` says whether those of both sides are."""
-        order, reach, reach_spreads, bits = self._reach
-        matrices, spreads = self._matrices(isotropic)
-        points = np.ascontiguousarray(self.points[order].T, np.float32)
-        tiles = make_tiles(points, reach, bits)
-        of_spreads = make_tiles(points, reach_spreads, bits)
-        return (
-            pack(points, self.weights[order], len(matrices)),
-            matrices,
-            spreads,
-            reach[None],
-            reach_spreads[None],
-            bits,
-            of_spreads.variance[None],
-            of_spreads.group_variance[None],
-            *tiles,
-        )
+        packed, matrices, spreads, *rest = self._target
+        rows = 1 if isotropic else 6
+        return np.ascontiguousarray(packed[: MATRIX + rows]), matrices[:rows], spreads[:rows], *rest
 
     @cached_property
-    def _reach(self) -> tuple[NDArray[np.intp], Float32, Float32, Float32]:
-        """The order of the components in space; in that order, largest variances, those of the spreads, and bits."""
+    def _source(self) -> tuple[Any, ...]:
+        order, points, matrices, spreads, *reach = self._ordered
+        weights = self.weights[order]
+        return points, matrices, spreads, weights, weights.astype(np.float32), *reach
+
+    @cached_property
+    def _target(self) -> tuple[Any, ...]:
+        order, points, matrices, spreads, reach, reach_spreads, bits = self._ordered
+        tiles = make_tiles(points, reach[0], bits)
+        of_spreads = make_tiles(points, reach_spreads[0], bits)
+        packed = pack(points, self.weights[order], len(matrices))
+        tile_spreads = of_spreads.variance[None], of_spreads.group_variance[None]
+        return packed, matrices, spreads, reach, reach_spreads, bits, *tile_spreads, *tiles
+
+    @cached_property
+    def _ordered(self) -> tuple[Any, ...]:
+        """The components' order in space; in it, points (3, n), packed covariances and spreads (6, n), largest variances
+        and bounds on those of the spreads (1, n), bits (n,); in powers of two."""
         n = len(self.points)
         order = morton_order(self.points, last=np.zeros(n, np.bool_))
-        reach, reach_spreads = (
-            (largest_variances(m[order], self.dimension, self.isotropic) / LOG2_SCALE).astype(np.float32)
-            for m in (self.covariances, self.spreads)
+        reach = self.largest_variances[order], np.einsum("nii->n", self.spreads)[order]
+        return (
+            order,
+            np.ascontiguousarray(self.points[order].T, np.float32),
+            *(self._packed(matrices[order]) for matrices in (self.covariances, self.spreads)),
+            *((variances[None] / LOG2_SCALE).astype(np.float32) for variances in reach),
+            np.full(n, COARSE_BITS, np.float32),
         )
-        return order, reach, reach_spreads, np.full(n, COARSE_BITS, np.float32)
 
-    def _matrices(self, isotropic: bool) -> tuple[Float32, Float32]:
-        """(1 or 6, n) packed covariances and spreads, in powers of two."""
-
-        def packed(matrices: Array) -> Float32:
-            if isotropic:
-                return (matrices[self._reach[0], 0, 0][None] / LOG2_SCALE).astype(np.float32)
-            rows = np.stack([matrices[self._reach[0], i, j] for i, j in PACKED]) / LOG2_SCALE
-            if self.dimension == 2:
-                rows[5] = 0.0
-            return rows.astype(np.float32)
-
-        return packed(self.covariances), packed(self.spreads)
+    def _packed(self, matrices: Array) -> Float32:
+        packed = (np.stack([matrices[:, i, j] for i, j in PACKED]) / LOG2_SCALE).astype(np.float32)
+        if self.dimension == 2:
+            packed[5] = 0.0
+        return packed
 
 
 def merge(mixture: Mixture, count: int) -> MergedMixture:
@@ -97,9 +96,10 @@ def merge(mixture: Mixture, count: int) -> MergedMixture:
     keep = _certain(mixture, MERGE_FROM)
     part = mixture.take(keep)
     points, covariances, weights = part.points, part.covariances, part.weights
+    largest = part.largest_variances
     if len(points) <= count:
         return MergedMixture(
-            points, covariances, np.zeros_like(covariances), weights / weights.sum(), mixture.dimension
+            points, covariances, np.zeros_like(covariances), weights / weights.sum(), largest, mixture.dimension
         )
     label = np.empty(len(points), np.int64)
     farthest_points(np.ascontiguousarray(points.T), count, label)
@@ -114,7 +114,8 @@ def merge(mixture: Mixture, count: int) -> MergedMixture:
     means = average(points)
     offsets = points - means[np.cumsum(used)[label] - 1]
     spreads = average(offsets[:, :, None] * offsets[:, None, :])
-    return MergedMixture(means, average(covariances), spreads, total[used] / total.sum(), mixture.dimension)
+    shares = total[used] / total.sum()
+    return MergedMixture(means, average(covariances), spreads, shares, average(largest), mixture.dimension)
 
 
 def sample(mixture: Mixture, count: int) -> MergedMixture:
@@ -125,14 +126,20 @@ def sample(mixture: Mixture, count: int) -> MergedMixture:
         part.covariances,
         np.zeros_like(part.covariances),
         part.weights / part.weights.sum(),
+        part.largest_variances,
         mixture.dimension,
         mixture.isotropic,
     )
 
 
+def count_certain(mixture: Mixture) -> int:
+    """How many components are not flagged as outliers."""
+    return int((mixture.variances <= FLAGGED).sum())
+
+
 def _certain(mixture: Mixture, count: int) -> NDArray[np.intp]:
     """At most `count` indices of components that are not flagged as outliers."""
-    keep = np.flatnonzero(mixture.variances() <= FLAGGED)
+    keep = np.flatnonzero(mixture.variances <= FLAGGED)
     if len(keep) > count:
         keep = np.sort(np.random.default_rng(0).permutation(keep)[:count])
     return keep

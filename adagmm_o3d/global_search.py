@@ -23,13 +23,9 @@ from .start_search import End, Limits, Start, distinct, joined, pose_distance, r
 ROTATIONS, ANGLES = 128, 24
 # The spiral's second constant, ψ⁴ = ψ + 4 (the first is √2).
 PSI = 1.533751168755204288118041
-# Ends compete at this share of points without a partner: where scenes overlap in part, less favours a wrong pose that
-# explains every point badly over the right one that explains most of them well.
-JUDGED_UNMATCHED = 0.3
 # Two poses this far apart (12° or 0.3 radii) that explain the clouds equally well to within this much [nats per point,
-# both clouds added] cannot be told apart. Measured gaps: symmetric bodies sampled twice 0.00 to 0.22 (8 of 216 above,
-# nearly all of 300 points), bodies of faint asymmetry 0.04 to 1.4 (5 of 80 below), of clear asymmetry 1.6 and more,
-# rooms 0.14 to 1.7 (1 of 40 below).
+# both clouds added] cannot be told apart. Measured gaps: symmetric bodies sampled twice 0.00 to 0.17 (1 of 30 above),
+# rooms 0.07 and more (4 of 60 below), the simulation's models 1.9 and more.
 APART_AMBIGUOUS, AMBIGUOUS_GAP = 0.3, 0.15
 
 
@@ -114,14 +110,11 @@ def _grid(dimension: int) -> Array:
 
 
 def _levels(source: Mixture, target: Mixture) -> tuple[_Level, _Level, _Level, _Level]:
-    def limits(floor: float, least_unmatched: float, relative_rmse: float) -> Limits:
-        return Limits(floor, least_unmatched, relative_rmse, judged_unmatched=JUDGED_UNMATCHED)
-
     return (
-        _Level((merge(source, 150), merge(target, 150)), limits(1e-2, 0.05, 1e-4), 0.6, 5, 0.0, 24, 0.15),
-        _Level((merge(source, 200), merge(target, 200)), limits(2e-3, 0.05, 5e-4), 0.65, 8, 0.0, 6, 0.1),
-        _Level((sample(source, 500), sample(target, 500)), limits(1e-3, 0.05, 1e-3), 0.65, 8, 0.0, 3, 0.05),
-        _Level((sample(source, 1000), sample(target, 1000)), limits(SIGMA_FLOOR, 0.15, 4e-4), 0.75, 15, 1.0, 4, 0.0),
+        _Level((merge(source, 64), merge(target, 64)), Limits(1e-2, 0.05, 1e-4), 0.6, 5, 0.0, 32, 0.15),
+        _Level((merge(source, 150), merge(target, 150)), Limits(2e-3, 0.05, 5e-4), 0.65, 6, 0.0, 8, 0.1),
+        _Level((sample(source, 500), sample(target, 500)), Limits(1e-3, 0.05, 1e-3), 0.65, 6, 0.0, 3, 0.05),
+        _Level((sample(source, 1000), sample(target, 1000)), Limits(SIGMA_FLOOR, 0.15, 4e-4), 0.5, 6, 1.0, 4, 0.0),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,9 +20,10 @@ from .cloud_checks import (
     refuse_points,
 )
 from .errors import InputError
+from .order_statistics import quantile
 
 # Half of all points may be flagged outliers: the unit of variance is that of a point among the best.
-GOOD_PERCENTILE = 12.5
+GOOD_SHARE = 0.125
 # A variance this many times the unit is a flag more than a measurement.
 VAGUE = 100.0
 # What the kernels' float32 can tell apart: variances relative to the unit, and the least one of a point to its largest.
@@ -64,7 +66,7 @@ class Mixture:
 
     def take(self, index: NDArray[np.integer] | NDArray[np.bool_]) -> Mixture:
         """The mixture of the chosen components."""
-        return Mixture(
+        taken = Mixture(
             self.points[index],
             self.covariances[index],
             self.weights[index],
@@ -72,6 +74,9 @@ class Mixture:
             self.isotropic,
             self.kept,
         )
+        for known in {"variances", "largest_variances"} & self.__dict__.keys():
+            taken.__dict__[known] = self.__dict__[known][index]
+        return taken
 
     def points_at(self, index: NDArray[np.integer]) -> Array:
         """(k, 3) the chosen points."""
@@ -82,6 +87,7 @@ class Mixture:
         """How many input points are not in the mixture."""
         return int(len(self.kept) - self.kept.sum())
 
+    @cached_property
     def variances(self) -> Array:
         """(n,) geometric mean of the principal variances, |Σ|^(1/D): one number for how vague a point is."""
         if self.isotropic:
@@ -102,9 +108,14 @@ class Mixture:
             precisions[:, 2, 2] = 0.0
         return np.stack([precisions[:, i, j] for i, j in PACKED])
 
+    @cached_property
     def largest_variances(self) -> Array:
         """(n,) the largest eigenvalue of each covariance: how far the point reaches."""
-        return largest_variances(self.covariances, self.dimension, self.isotropic)
+        if self.isotropic:
+            return self.covariances[:, 0, 0].copy()
+        return np.asarray(
+            np.linalg.eigvalsh(self.covariances[:, : self.dimension, : self.dimension])[:, -1], np.float64
+        )
 
     def centroid(self, weights: Array) -> Array:
         """(3,) mean of the points with (n,) weights."""
@@ -119,18 +130,11 @@ class Mixture:
     def normalised(self, centre: Array, scale: float, unit: float, relative: Array) -> Mixture:
         """Points from `centre` in units of `scale`, covariances in units of `unit`, with `relative` (n,) for the
         geometric mean of their variances."""
-        covariances = (self.covariances / unit) * (relative / (self.variances() / unit))[:, None, None]
+        covariances = (self.covariances / unit) * (relative / (self.variances / unit))[:, None, None]
         if self.dimension == 2:
             covariances[:, 2, 2] = 1.0
         points = (self.points - centre) / scale
         return Mixture(points, covariances, self.weights, self.dimension, self.isotropic, self.kept)
-
-
-def largest_variances(covariances: Array, dimension: int, isotropic: bool) -> Array:
-    """(n,) the largest eigenvalue of each of (n, 3, 3) covariances."""
-    if isotropic:
-        return covariances[:, 0, 0].copy()
-    return np.asarray(np.linalg.eigvalsh(covariances[:, :dimension, :dimension])[:, -1], np.float64)
 
 
 def make_mixture(
@@ -269,8 +273,8 @@ def normalise(source: Mixture, target: Mixture) -> tuple[Mixture, Mixture, Norma
     InputError : a cloud that is hardly more than a dot at that scale.
     """
     sides = (source, target)
-    variances = [m.variances() for m in sides]
-    unit = float(np.percentile(np.concatenate(variances), GOOD_PERCENTILE))
+    variances = [m.variances for m in sides]
+    unit = float(quantile(np.concatenate(variances), GOOD_SHARE))
     relative = [np.clip(v / unit, *VARIANCE_RANGE) for v in variances]
     centres = [m.centroid(m.weights / r) for m, r in zip(sides, relative, strict=True)]
     certain = [r <= VAGUE if (r <= VAGUE).any() else np.full(len(r), True) for r in relative]
@@ -290,7 +294,7 @@ def _some_points(mixture: Mixture, index: NDArray[np.intp]) -> Array:
 
 def _check_resolution(name: str, points: Array, scale: float) -> None:
     """Raise where a few points far away, or the other cloud, make a dot of a cloud's bulk."""
-    bulk = float(np.quantile(np.linalg.norm(points - np.median(points, axis=0), axis=1), BULK))
+    bulk = float(quantile(np.linalg.norm(points - quantile(points, 0.5), axis=1), BULK))
     if bulk < FINEST * scale:
         raise InputError(
             f"{name}.points: {BULK:.0%} lie within {bulk:.3g} of their median, but the radius of the clouds is "

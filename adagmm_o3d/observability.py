@@ -42,7 +42,7 @@ def free_directions(source: Mixture, pose: Array, matched: Array) -> tuple[Array
     radian counts as a shift by one radius; turns are about the target's centroid.
     """
     dimension = source.dimension
-    index = np.flatnonzero((source.variances() <= FLAGGED) & np.isfinite(matched))
+    index = np.flatnonzero((source.variances <= FLAGGED) & np.isfinite(matched))
     if len(index) > THINNED[dimension]:
         index = np.sort(np.random.default_rng(0).permutation(index)[: THINNED[dimension]])
     points = source.points_at(index) @ pose[:3, :3].T + pose[:3, 3]

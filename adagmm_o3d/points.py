@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from . import starts
 from .arguments import Array
-from .cascade import SMALL, Cascade
+from .cascade import Cascade
 from .conclusion import conclude, lower
 from .em import Criteria, expectation_maximisation
 from .errors import InputError
@@ -127,7 +127,7 @@ def register_mixtures(
             pairs,
             best,
             limits,
-            mutuality=_mutuality(method, moving, fixed),
+            mutuality=_mutuality(method, cascade),
             relaxation=method.relaxation,
             observe=observe,
         )
@@ -193,10 +193,10 @@ def _unknown() -> PoseUncertainty:
     return PoseUncertainty(None, ())
 
 
-def _mutuality(method: TransformationEstimationForAdaptiveGMM, source: Mixture, target: Mixture) -> float:
+def _mutuality(method: TransformationEstimationForAdaptiveGMM, cascade: Cascade) -> float:
     if method.mutuality is not None:
         return method.mutuality
-    return 0.5 if max(len(source), len(target)) > SMALL else 0.0
+    return 0.0 if cascade.small else 0.5
 
 
 def _start_pose(init: ArrayLike, normalisation: Normalisation, dimension: int) -> Array:

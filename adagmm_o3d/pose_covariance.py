@@ -194,7 +194,7 @@ class _Side:
 
 def _side(mixture: Mixture, fit: Fit, pose: Array, weights: Array, axis: int) -> _Side:
     """The components of a mixture that are not flagged as outliers, at `pose`, in the order of a coordinate."""
-    index = np.flatnonzero(mixture.variances() <= FLAGGED)
+    index = np.flatnonzero(mixture.variances <= FLAGGED)
     points = mixture.points[index] @ pose[:3, :3].T + pose[:3, 3]
     order = np.argsort(points[:, axis], kind="stable")
     index, points = index[order], points[order]
@@ -202,7 +202,7 @@ def _side(mixture: Mixture, fit: Fit, pose: Array, weights: Array, axis: int) ->
     return _Side(
         points,
         np.stack([covariances[:, i, j] for i, j in PACKED], axis=1),
-        fit.sigma * mixture.largest_variances()[index],
+        fit.sigma * mixture.largest_variances[index],
         weights[index],
         index,
     )
@@ -232,7 +232,7 @@ class _ResidentSide:
 
     def __init__(self, mixture: Mixture, fit: Fit, pose: Array, weights: Array, axis: int) -> None:
         self._mixture, self._fit, self._pose, self._axis = mixture, fit, pose, axis
-        certain = mixture.variances() <= FLAGGED
+        certain = mixture.variances <= FLAGGED
         self._weights, self.index = np.where(certain, weights, 0.0), np.flatnonzero(certain)
 
     def take(self, index: NDArray[np.intp]) -> _Side:

@@ -33,30 +33,48 @@ class Start:
 
 @dataclass(frozen=True)
 class Limits:
-    """How far EM goes on a level, and how its ends are compared.
+    """How far EM goes on a level.
 
     floor : least σ.   least_unmatched : least share of points without a partner.   relative_rmse : as in
     `em.Criteria`.
-    judged_unmatched : the share of points without a partner at which ends are compared, each at its own σ.
     """
 
     floor: float
     least_unmatched: float
     relative_rmse: float
-    judged_unmatched: float = 0.1
 
 
 @dataclass(frozen=True)
 class End:
-    """Where a start has led: the pose, its σ and unmatched share, how well it explains both clouds, the way there."""
+    """Where a start has led: the pose, its σ and unmatched share, how well it explains both clouds, the way there.
+
+    log_likelihood : mean over the points, both clouds added [nats], at the end's own σ and unmatched share, but for a
+    constant: neither a pose that explains every point badly nor one that explains a part of them well is favoured.
+    trail : for each level the number and what is kept of its iterations (n, kernel.HISTORY_COLUMNS).
+    """
 
     pose: Array
     sigma: float
     unmatched: float
     log_likelihood: float
     start: Array
-    iterations: tuple[Iteration, ...]
+    trail: tuple[tuple[int, Array], ...]
     settled: bool
+
+    @property
+    def iterations(self) -> tuple[Iteration, ...]:
+        """The way there; put together when it is asked for, as most ends of a search are dropped."""
+        return tuple(
+            Iteration(
+                _pose(row[:12]),
+                float(row[kernel.HISTORY_SIGMA]),
+                float(row[kernel.HISTORY_ENERGY]),
+                float(row[kernel.HISTORY_MATCHED]),
+                level,
+            )
+            for level, rows in self.trail
+            for row in rows
+        )
 
 
 def run_starts(
@@ -86,7 +104,6 @@ def run_starts(
         target.as_target(isotropic),
         (source.dimension == 2, isotropic),
         (2.0 * math.pi * LOG2_SCALE) ** half / volume,
-        limits.judged_unmatched,
         (limits.floor, limits.least_unmatched, MOST_UNMATCHED),
         limits.relative_rmse,
         ends,
@@ -99,24 +116,11 @@ def run_starts(
             unmatched=float(ends[k, kernel.END_UNMATCHED]),
             log_likelihood=float(ends[k, kernel.END_LIKELIHOOD]),
             start=starts[k].pose,
-            iterations=_iterations(history[k, : int(ends[k, kernel.END_ITERATIONS])], level),
+            trail=((level, history[k, : int(ends[k, kernel.END_ITERATIONS])]),),
             settled=bool(ends[k, kernel.END_SETTLED]),
         )
         for k in range(len(starts))
     ]
-
-
-def _iterations(history: Array, level: int) -> tuple[Iteration, ...]:
-    return tuple(
-        Iteration(
-            _pose(row[:12]),
-            float(row[kernel.HISTORY_SIGMA]),
-            float(row[kernel.HISTORY_ENERGY]),
-            float(row[kernel.HISTORY_MATCHED]),
-            level,
-        )
-        for row in history
-    )
 
 
 def distinct(ends: list[End], count: int, distance: float) -> list[End]:
@@ -132,10 +136,7 @@ def distinct(ends: list[End], count: int, distance: float) -> list[End]:
 
 def joined(before: list[End], after: list[End]) -> list[End]:
     """Each end with the way that led to its start put in front."""
-    return [
-        replace(end, start=old.start, iterations=old.iterations + end.iterations)
-        for old, end in zip(before, after, strict=True)
-    ]
+    return [replace(end, start=old.start, trail=old.trail + end.trail) for old, end in zip(before, after, strict=True)]
 
 
 def pose_distance(a: Array, b: Array) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -10,10 +11,13 @@ from .arguments import Array
 from .lie import so_exp
 from .start_search import Start
 
-# How far the starts stand around a pose, in normalised coordinates.
-SHIFT = 0.3
-TURN = math.radians(45.0)
-AXES = np.eye(3)
+# How far the starts stand around a pose, in normalised coordinates. Two clouds of which each lost 30 % on a side have
+# centroids up to one radius apart.
+RINGS = ((0.25, 6), (0.5, 12), (0.75, 12), (1.0, 16))
+# How far they are turned, about an axis and about the diagonal between three.
+TURN, DIAGONAL_TURN = math.radians(45.0), math.radians(75.0)
+SIDES = np.concatenate([np.eye(3), -np.eye(3)])
+DIAGONALS = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) / math.sqrt(3.0)
 
 
 def wide(pose: Array) -> Start:
@@ -23,12 +27,12 @@ def wide(pose: Array) -> Start:
 
 def narrow(pose: Array) -> Start:
     """σ starts small and falls whatever the residuals say, which points without a partner hold up: partial overlap."""
-    return Start(pose, sigma=0.02, unmatched=0.3, fastest=0.6, iterations=7, follow=0.0)
+    return Start(pose, sigma=0.02, unmatched=0.3, fastest=0.6, iterations=4, follow=0.0)
 
 
 def turned(pose: Array) -> Start:
     """For rotations beyond the basin of the wide start."""
-    return Start(pose, sigma=0.05, unmatched=0.1, fastest=0.6, iterations=7, follow=0.0)
+    return Start(pose, sigma=0.05, unmatched=0.1, fastest=0.5, iterations=4, follow=0.0)
 
 
 def near(pose: Array) -> list[Start]:
@@ -39,14 +43,26 @@ def near(pose: Array) -> list[Start]:
 
 
 def around(pose: Array, dimension: int) -> list[Start]:
-    """Narrow starts at a pose and a third of the radius off, and starts turned by 45° about each axis."""
-    shifts = [np.zeros(3), *(sign * SHIFT * AXES[i] for i in range(dimension) for sign in (1.0, -1.0))]
-    rotation_axes = AXES if dimension == 3 else AXES[2:]
-    rotations = [so_exp(sign * TURN * axis) for axis in rotation_axes for sign in (1.0, -1.0)]
+    """Narrow starts at a pose and shifted from it, and starts turned about axes and diagonals."""
+    turns = np.concatenate([TURN * SIDES, DIAGONAL_TURN * DIAGONALS]) if dimension == 3 else TURN * SIDES[2::3]
+    rotations = [so_exp(turn) for turn in turns]
     return [
-        *(narrow(_shifted(pose, shift)) for shift in shifts),
+        *(narrow(_shifted(pose, shift)) for shift in _shifts(dimension)),
         *(turned(_rotated(pose, rotation)) for rotation in rotations),
     ]
+
+
+def _shifts(dimension: int) -> Array:
+    """(k, 3) shifts that cover those of the centroids of clouds that overlap in part, the zero first."""
+    if dimension == 2:
+        rings = [_ring(radius, count) for radius, count in RINGS]
+        return np.concatenate([np.zeros((1, 3)), *rings])
+    return np.concatenate([np.zeros((1, 3)), 0.3 * SIDES, 0.5 * DIAGONALS, 0.6 * SIDES, 0.9 * DIAGONALS, 0.9 * SIDES])
+
+
+def _ring(radius: float, count: int) -> Array:
+    angles = 2.0 * np.pi / count * np.arange(count)
+    return radius * np.stack([np.cos(angles), np.sin(angles), np.zeros(count)], axis=1)
 
 
 def _shifted(pose: Array, shift: Array) -> Array:

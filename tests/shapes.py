@@ -25,6 +25,12 @@ def bumpy(rng, n, dimension):
     return bumpy_ellipse(rng, n) if dimension == 2 else bumpy_ellipsoid(rng, n)[0]
 
 
+def body_with_head(rng, n, dimension):
+    """(n, D) points of a shape without any near-symmetry."""
+    head = 0.5 * bumpy(rng, n // 3, dimension) + np.array([1.0, 0.5, 0.3])[:dimension]
+    return np.concatenate([bumpy(rng, n - n // 3, dimension), head])
+
+
 def move(points, transformation):
     """Points under a (D+1, D+1) transformation."""
     return points @ transformation[:-1, :-1].T + transformation[:-1, -1]

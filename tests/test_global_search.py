@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from shapes import bumpy, move, turn
+from shapes import body_with_head, bumpy, move, turn
 from shared_data import shared_data
 
 from adagmm_o3d.evaluation import pose_errors
@@ -44,12 +44,6 @@ def degraded(rng, points, *, outliers=0.3, occlusion=0.1, noise=0.01):
     cloud = np.concatenate([seen + noise * rng.normal(size=seen.shape), stray])
     variances = np.concatenate([np.ones(len(seen)), np.full(len(stray), FLAG)])
     return cloud, variances[:, None, None] * np.eye(dimension)
-
-
-def body_with_head(rng, n, dimension):
-    """(n, D) points of a shape without any near-symmetry."""
-    head = 0.5 * bumpy(rng, n // 3, dimension) + np.array([1.0, 0.5, 0.3])[:dimension]
-    return np.concatenate([bumpy(rng, n - n // 3, dimension), head])
 
 
 @pytest.mark.parametrize(("dimension", "n"), [(2, 150), (3, 600), (3, 3000)])

@@ -29,7 +29,8 @@ X, SHARE, FACTOR, MATRIX = 0, 3, 4, 5
 # Points are filled up to a multiple of this, the floats of the widest vector register, with points of no weight: no pair
 # is left over for scalar code. A tile is as long.
 LANES = TILE
-# Rows a power of two apart would all fall on the same few lines of the cache.
+# Rows a large power of two apart would all fall on the same few lines of the cache.
+SAME_LINES = 256
 STRIDE = RUN + 2 * LANES
 
 
@@ -164,7 +165,9 @@ def pack(points, weights, matrix_rows):
     """(5 + matrix_rows, padded n) float32 target for `convolved_pass`: coordinates and weights, factors of one, room for
     the matrices at σ."""
     n = points.shape[1]
-    packed = np.zeros((MATRIX + matrix_rows, -(-n // LANES) * LANES), np.float32)
+    padded = -(-n // LANES) * LANES
+    padded += LANES if padded % SAME_LINES == 0 else 0
+    packed = np.zeros((MATRIX + matrix_rows, padded), np.float32)
     packed[X:SHARE, :n], packed[SHARE, :n], packed[FACTOR] = points, weights, 1.0
     packed[[MATRIX, MATRIX + 3, MATRIX + 5] if matrix_rows > 1 else MATRIX, n:] = 1.0
     return packed
@@ -234,7 +237,6 @@ def convolved_pass(pose, source, target, tiles, kind, uniform, mutuality, cluste
     packed, target_variances, target_bits = target
     planar, isotropic, columns_only = kind
     m_all = points.shape[1]
-    n_all = packed.shape[1]
     tile_count = tiles[0].shape[1]
     still = np.zeros(6, np.float32)
     y = np.empty((3, CLUSTER), np.float32)
@@ -260,7 +262,7 @@ def convolved_pass(pose, source, target, tiles, kind, uniform, mutuality, cluste
         count = 0
         for g in range(tiles[4].shape[1]):
             hits = reach_group(g, box, tiles, beyond)
-            first, last = g * GROUP * TILE, min(n_all, (g + 1) * GROUP * TILE)
+            first, last = g * GROUP * TILE, min(tile_count, (g + 1) * GROUP) * TILE
             if hits * TILE == last - first:
                 cluster_rows(packed, first, last, kind, own, y, turned, column, 0, rows)
             elif hits > 0:

@@ -62,7 +62,7 @@ class PosteriorSums(PairSums):
 
 def amplitudes_and_bits(mixture: Mixture) -> tuple[Array, Array]:
     """(n,) heights of the components relative to the highest, and by how many powers of two a weight may fall."""
-    amplitudes = mixture.variances() ** (-0.5 * mixture.dimension)
+    amplitudes = mixture.variances ** (-0.5 * mixture.dimension)
     amplitudes /= amplitudes.max()
     # A pair weighs at most what its vaguer half allows: what is too vague reaches nowhere by itself.
     return amplitudes, np.maximum(0.0, CUT_BITS + np.log2(amplitudes))
@@ -80,7 +80,7 @@ class Side:
         self.amplitudes = _float32((amplitudes * mixture.weights)[self.order])
         self.weights = mixture.weights[self.order] / mixture.weights.sum()
         self.weights32 = _float32(self.weights)
-        self.variances = _float32(mixture.largest_variances()[self.order] / LOG2_SCALE)
+        self.variances = _float32(mixture.largest_variances[self.order] / LOG2_SCALE)
         self.bits = _float32(bits[self.order])
 
     def precisions(self) -> Float32:

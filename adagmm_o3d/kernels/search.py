@@ -130,12 +130,12 @@ def _build(stamp):
     """The kernel that is called from Python; `stamp` keeps its cache fresh."""
 
     @njit(**KERNEL_FLAGS)
-    def search(poses, starts, source, target, kind, world, judged, bounds, relative_rmse, ends, history):
+    def search(poses, starts, source, target, kind, world, bounds, relative_rmse, ends, history):
         """Run every start; `poses` (S, 12) move, `ends` (S, END_COLUMNS) tell where they came to.
 
-        world : density of a uniform mixture of all points.   judged : unmatched share at which the likelihoods of the
-        ends are taken, each at its own σ.   kind : (planar, isotropic).   bounds : (floor of σ, least, greatest unmatched share).
-        relative_rmse : a start is done when ‖δ‖² is below this share of σ and σ has settled.   history : (S, most iterations, HISTORY_COLUMNS).
+        kind : (planar, isotropic).   world : density of a uniform mixture of all points.   bounds : (floor of σ, least,
+        greatest unmatched share).   relative_rmse : a start is done when ‖δ‖² is below this share of σ and σ has
+        settled.   history : (S, most iterations, HISTORY_COLUMNS).
         """
         _ = stamp
         floor, least, greatest = bounds
@@ -197,11 +197,12 @@ def _build(stamp):
                     ends[s, END_SETTLED] = 1.0
                     break
             pose32[:] = pose
-            uniform = world * judged / (1.0 - judged)
+            uniform = world * unmatched / (1.0 - unmatched)
             one_pass(pose32, np.float32(sigma), uniform, source, target, kind, work, total)
             ends[s, END_SIGMA] = sigma
             ends[s, END_UNMATCHED] = unmatched
-            ends[s, END_LIKELIHOOD] = total[TOTAL_LIKELIHOOD]
+            # the sums are relative to the uniform part, of which each end has its own
+            ends[s, END_LIKELIHOOD] = total[TOTAL_LIKELIHOOD] + 2.0 * math.log(unmatched)
 
     return search
 

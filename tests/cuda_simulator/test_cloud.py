@@ -100,7 +100,7 @@ def same_mixture(mixture, expected):
     largest = np.abs(expected.covariances).max()
     np.testing.assert_allclose(mixture.covariances, expected.covariances, rtol=1e-9, atol=1e-13 * largest)
     # a thin covariance keeps nine digits of its least variance, and the mean is a third power
-    np.testing.assert_allclose(mixture.variances(), expected.variances(), rtol=1e-8, atol=0)
+    np.testing.assert_allclose(mixture.variances, expected.variances, rtol=1e-8, atol=0)
 
 
 @pytest.mark.parametrize("make", [full, narrow, round_ones, flagged])
@@ -204,7 +204,7 @@ def test_covariances_of_the_surface_are_those_of_the_host(points):
     expected = make_mixture("source", points, estimate_surface_covariances(points))
     mixture = device_mixture("source", cuda.to_device(points), None)
     np.testing.assert_allclose(mixture.covariances, expected.covariances, rtol=0, atol=1e-8)
-    np.testing.assert_allclose(mixture.variances(), expected.variances(), rtol=1e-9, atol=0)
+    np.testing.assert_allclose(mixture.variances, expected.variances, rtol=1e-9, atol=0)
 
 
 def test_a_surface_needs_four_points():

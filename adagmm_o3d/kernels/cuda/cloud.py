@@ -115,8 +115,9 @@ class DeviceMixture(Mixture):
     def points_at(self, index: NDArray[np.integer]) -> Array:
         return self._in_frame(self._chosen(index, COVARIANCE))
 
-    def variances(self) -> Array:
-        return self._relative.copy()
+    @property
+    def variances(self) -> Array:  # type: ignore[override]
+        return self._relative
 
     def centroid(self, weights: Array) -> Array:
         origin = self.bounds[0]

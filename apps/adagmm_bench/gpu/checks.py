@@ -93,7 +93,7 @@ def _relative(values: np.ndarray, expected: np.ndarray) -> float:
 def _adaptive(source: Mixture, target: Mixture, pose: np.ndarray) -> tuple:
     y, B, A = _moved(source, target, pose)
     A, B = _inverse(A, source.dimension), _inverse(B, source.dimension)
-    amplitudes = [mixture.variances() ** (-0.5 * source.dimension) for mixture in (source, target)]
+    amplitudes = [mixture.variances ** (-0.5 * source.dimension) for mixture in (source, target)]
     u, v = (a / a.max() for a in amplitudes)
     d = y[:, None] - target.points[None]
     qa, qb = np.einsum("mni,nij,mnj->mn", d, A, d), np.einsum("mni,mij,mnj->mn", d, B, d)

@@ -36,7 +36,7 @@ def cloud_errors(source: Mixture, target: Mixture, pose: np.ndarray) -> Iterator
         everything = ours.take(np.arange(len(ours)))
         yield f"{name} points", _relative(everything.points, theirs.points), EXACT
         yield f"{name} covariances", _relative(everything.covariances, theirs.covariances), EXACT
-        yield f"{name} variances", _relative(ours.variances(), theirs.variances()), EXACT
+        yield f"{name} variances", _relative(ours.variances, theirs.variances), EXACT
     fit = Fit(pose, SIGMA, UNMATCHED, VOLUME, MUTUALITY)
     scores = score_moments(CudaPairLoop(*device), *device, fit)
     theirs = score_moments(PairLoop(moving, fixed), moving, fixed, fit)

@@ -179,9 +179,10 @@ def _spacing(mixture: Mixture) -> float:
 
     Of a large cloud only a part is looked at, and the spacing of the whole, a surface (in 2D a curve), follows from it.
     """
-    points = mixture.points
-    if len(points) > SPACING_FROM:
-        points = points[np.random.default_rng(0).permutation(len(points))[:SPACING_FROM]]
+    index = np.arange(len(mixture))
+    if len(index) > SPACING_FROM:
+        index = np.random.default_rng(0).permutation(index)[:SPACING_FROM]
+    points = mixture.points_at(index)
     thinning = (len(points) / len(mixture)) ** (1.0 / (mixture.dimension - 1))
     probes = np.linspace(0, len(points) - 1, min(PROBES, len(points))).astype(np.intp)
     flat = np.ascontiguousarray(points[:, : mixture.dimension])

@@ -94,8 +94,9 @@ class MergedMixture:
 def merge(mixture: Mixture, count: int) -> MergedMixture:
     """At most `count` components with the moments of those they stand for; vague ones are left out."""
     keep = _certain(mixture, MERGE_FROM)
-    points, covariances, weights = mixture.points[keep], mixture.covariances[keep], mixture.weights[keep]
-    largest = mixture.largest_variances[keep]
+    part = mixture.take(keep)
+    points, covariances, weights = part.points, part.covariances, part.weights
+    largest = part.largest_variances
     if len(points) <= count:
         return MergedMixture(
             points, covariances, np.zeros_like(covariances), weights / weights.sum(), largest, mixture.dimension
@@ -119,14 +120,13 @@ def merge(mixture: Mixture, count: int) -> MergedMixture:
 
 def sample(mixture: Mixture, count: int) -> MergedMixture:
     """At most `count` of the mixture's own components, chosen at random with a fixed seed; vague ones are left out."""
-    keep = _certain(mixture, count)
-    covariances, weights = mixture.covariances[keep], mixture.weights[keep]
+    part = mixture.take(_certain(mixture, count))
     return MergedMixture(
-        mixture.points[keep],
-        covariances,
-        np.zeros_like(covariances),
-        weights / weights.sum(),
-        mixture.largest_variances[keep],
+        part.points,
+        part.covariances,
+        np.zeros_like(part.covariances),
+        part.weights / part.weights.sum(),
+        part.largest_variances,
         mixture.dimension,
         mixture.isotropic,
     )

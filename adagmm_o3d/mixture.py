@@ -10,12 +10,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arguments import Array, float_array
-from .errors import DegenerateError, InputError
+from .cloud_checks import (
+    check_count,
+    check_not_empty,
+    check_spread,
+    check_usable,
+    refuse_crooked,
+    refuse_indefinite,
+    refuse_points,
+)
+from .errors import InputError
 from .order_statistics import quantile
 
-MIN_POINTS = 3
-# A sensor model may fail at a point now and then (the Kinect data has one in thousands); more is a mistake upstream.
-MAX_NONFINITE_SHARE = 0.01
 # Half of all points may be flagged outliers: the unit of variance is that of a point among the best.
 GOOD_SHARE = 0.125
 # A variance this many times the unit is a flag more than a measurement.
@@ -23,12 +29,14 @@ VAGUE = 100.0
 # What the kernels' float32 can tell apart: variances relative to the unit, and the least one of a point to its largest.
 VARIANCE_RANGE = (1e-6, 1e12)
 THINNEST = 1e-6
+# Entries may differ from their mirror images by this share of the largest; a variance below that one is none.
+SKEW, LEAST_POSITIVE = 1e-5, 1e-12
 # The share of a cloud that must be seen as more than a dot, and how small that is, in radii.
 BULK, FINEST = 0.9, 1e-3
+# Of larger clouds that many points are asked for it.
+BULK_FROM = 20_000
 # Clouds this many radii apart do not see each other, and float32 has no digits for more.
 FARTHEST = 1e4
-# Squares of coordinates [input units] must neither overflow nor vanish.
-LARGEST_COORDINATE, SMALLEST_EXTENT = 1e140, 1e-140
 PACKED = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
@@ -48,12 +56,17 @@ class Mixture:
     isotropic: bool
     kept: NDArray[np.bool_]
 
+    @property
+    def on_device(self) -> bool:
+        """Whether the points lie on a GPU."""
+        return False
+
     def __len__(self) -> int:
         return len(self.points)
 
     def take(self, index: NDArray[np.integer] | NDArray[np.bool_]) -> Mixture:
         """The mixture of the chosen components."""
-        return Mixture(
+        taken = Mixture(
             self.points[index],
             self.covariances[index],
             self.weights[index],
@@ -61,6 +74,13 @@ class Mixture:
             self.isotropic,
             self.kept,
         )
+        for known in {"variances", "largest_variances"} & self.__dict__.keys():
+            taken.__dict__[known] = self.__dict__[known][index]
+        return taken
+
+    def points_at(self, index: NDArray[np.integer]) -> Array:
+        """(k, 3) the chosen points."""
+        return self.points[index]
 
     @property
     def dropped(self) -> int:
@@ -93,7 +113,28 @@ class Mixture:
         """(n,) the largest eigenvalue of each covariance: how far the point reaches."""
         if self.isotropic:
             return self.covariances[:, 0, 0].copy()
-        return np.asarray(np.linalg.eigvalsh(self.covariances[:, : self.dimension, : self.dimension])[:, -1], np.float64)
+        return np.asarray(
+            np.linalg.eigvalsh(self.covariances[:, : self.dimension, : self.dimension])[:, -1], np.float64
+        )
+
+    def centroid(self, weights: Array) -> Array:
+        """(3,) mean of the points with (n,) weights."""
+        return np.average(self.points, axis=0, weights=weights)
+
+    def radius(self, centre: Array, weights: Array) -> float:
+        """Root mean square distance of the points from `centre`, with (n,) weights."""
+        counted = weights > 0.0
+        squares = ((self.points[counted] - centre) ** 2).sum(axis=1)
+        return math.sqrt(np.average(squares, weights=weights[counted]))
+
+    def normalised(self, centre: Array, scale: float, unit: float, relative: Array) -> Mixture:
+        """Points from `centre` in units of `scale`, covariances in units of `unit`, with `relative` (n,) for the
+        geometric mean of their variances."""
+        covariances = (self.covariances / unit) * (relative / (self.variances / unit))[:, None, None]
+        if self.dimension == 2:
+            covariances[:, 2, 2] = 1.0
+        points = (self.points - centre) / scale
+        return Mixture(points, covariances, self.weights, self.dimension, self.isotropic, self.kept)
 
 
 def make_mixture(
@@ -115,29 +156,17 @@ def make_mixture(
     """
     p = float_array(f"{name}.points", points, ("n", (2, 3)), finite=False)
     n, dimension = p.shape
-    if n == 0:
-        raise InputError(f"{name}.points: the cloud is empty; registration needs at least {MIN_POINTS} points")
+    check_not_empty(name, n)
     if not np.isfinite(p).all():
-        bad = np.flatnonzero(~np.isfinite(p).all(axis=1))
-        raise InputError(
-            f"{name}.points: {len(bad)} of {n} points are not finite, the first at index {bad[0]}; "
-            "remove them first, e.g. with PointCloud.remove_non_finite_points()"
-        )
+        refuse_points(name, np.flatnonzero(~np.isfinite(p).all(axis=1)), n)
     c = _check_covariances(name, covariances, n, dimension)
     w = _check_weights(name, weights, n)
     usable: NDArray[np.bool_] = np.asarray(np.isfinite(c).all(axis=(1, 2)))
-    dropped = int(n - usable.sum())
-    if dropped > MAX_NONFINITE_SHARE * n:
-        first = int(np.flatnonzero(~usable)[0])
-        raise InputError(
-            f"{name}.covariances: {dropped} of {n} are not finite, the first at index {first}; "
-            f"at most {MAX_NONFINITE_SHARE:.0%} may be (those points are ignored)"
-        )
+    check_usable(name, usable)
     p, c, w = p[usable], c[usable], w[usable]
     isotropic = _check_positive_definite(name, c, usable)
-    if len(p) < MIN_POINTS:
-        raise DegenerateError(f"{name}.points: {len(p)} points cannot fix a pose; at least {MIN_POINTS} are needed")
-    _check_spread(name, p)
+    check_count(name, len(p))
+    check_spread(name, p)
     if dimension == 2:
         p, c = _lift(p, c)
     return Mixture(np.ascontiguousarray(p), np.ascontiguousarray(c), w, dimension, isotropic, usable)
@@ -171,21 +200,18 @@ def _check_positive_definite(name: str, c: Array, usable: NDArray[np.bool_]) -> 
     else:
         scale = np.abs(c).max(axis=(1, 2))
         skew = np.abs(c - c.transpose(0, 2, 1)).max(axis=(1, 2))
-        crooked = np.flatnonzero(skew > 1e-5 * scale)
+        crooked = np.flatnonzero(skew > SKEW * scale)
         if len(crooked):
-            raise InputError(f"{name}.covariances: not symmetric at index {index[crooked[0]]} ({len(crooked)} in all)")
+            refuse_crooked(name, index[crooked])
         c[:] = 0.5 * c + 0.5 * c.transpose(0, 2, 1)
         eigenvalues = np.linalg.eigvalsh(c)
-        bad = np.flatnonzero(eigenvalues[:, 0] <= 1e-12 * eigenvalues[:, -1])
+        bad = np.flatnonzero(eigenvalues[:, 0] <= LEAST_POSITIVE * eigenvalues[:, -1])
         isotropic = False
         thin = np.flatnonzero(eigenvalues[:, 0] < THINNEST * eigenvalues[:, -1])
         if not len(bad) and len(thin):
             c[thin] = _thickened(c[thin])
     if len(bad):
-        raise InputError(
-            f"{name}.covariances: not positive definite at index {index[bad[0]]} ({len(bad)} in all); "
-            "add a small multiple of the identity"
-        )
+        refuse_indefinite(name, index[bad])
     return isotropic
 
 
@@ -194,30 +220,6 @@ def _thickened(c: Array) -> Array:
     variances, axes = np.linalg.eigh(c)
     variances = np.maximum(variances, THINNEST * variances[:, -1:])
     return (axes * variances[:, None, :]) @ axes.transpose(0, 2, 1)
-
-
-def _check_spread(name: str, p: Array) -> None:
-    """Points in one place leave the rotation free; in 3D so do points on one line."""
-    largest = float(np.abs(p).max())
-    if largest > LARGEST_COORDINATE:
-        raise InputError(f"{name}.points: expected coordinates up to {LARGEST_COORDINATE:g}, got {largest:g}; rescale")
-    centred = p - p[0]
-    centred -= centred.mean(axis=0)
-    extent = float(np.abs(centred).max())
-    if 0.0 < extent < SMALLEST_EXTENT:
-        raise InputError(f"{name}.points: expected an extent of {SMALLEST_EXTENT:g} or more, got {extent:g}; rescale")
-    centred /= max(extent, SMALLEST_EXTENT)
-    # Squared singular values would lose a thin direction beside rounding, but are much cheaper for many points.
-    spread = (
-        np.linalg.svd(centred, compute_uv=False)
-        if len(p) < 50
-        else np.sqrt(np.maximum(np.linalg.eigvalsh(centred.T @ centred)[::-1], 0.0))
-    )
-    rounding = 4.0 * np.finfo(float).eps * math.sqrt(len(p)) * largest / max(extent, SMALLEST_EXTENT)
-    rank = int((spread > max(1e-7 * spread[0], rounding)).sum())
-    if rank < p.shape[1] - 1:
-        shape = "in one place" if rank == 0 else "on one line"
-        raise DegenerateError(f"{name}.points: all {len(p)} points are {shape}; a pose cannot be found")
 
 
 def _lift(p: Array, c: Array) -> tuple[Array, Array]:
@@ -274,22 +276,20 @@ def normalise(source: Mixture, target: Mixture) -> tuple[Mixture, Mixture, Norma
     variances = [m.variances for m in sides]
     unit = float(quantile(np.concatenate(variances), GOOD_SHARE))
     relative = [np.clip(v / unit, *VARIANCE_RANGE) for v in variances]
-    centres = [np.average(m.points, axis=0, weights=m.weights / r) for m, r in zip(sides, relative, strict=True)]
+    centres = [m.centroid(m.weights / r) for m, r in zip(sides, relative, strict=True)]
     certain = [r <= VAGUE if (r <= VAGUE).any() else np.full(len(r), True) for r in relative]
-    radii = [
-        np.sqrt(np.average(((m.points[k] - c) ** 2).sum(axis=1), weights=m.weights[k]))
-        for m, c, k in zip(sides, centres, certain, strict=True)
-    ]
-    scale = float(max(radii))
+    scale = max(m.radius(c, m.weights * k) for m, c, k in zip(sides, centres, certain, strict=True))
     for name, m, k in zip(("source", "target"), sides, certain, strict=True):
-        _check_resolution(name, m.points[k], scale)
-    normalised = []
-    for m, c, v, r in zip(sides, centres, variances, relative, strict=True):
-        covariances = (m.covariances / unit) * (r / (v / unit))[:, None, None]
-        if m.dimension == 2:
-            covariances[:, 2, 2] = 1.0
-        normalised.append(Mixture((m.points - c) / scale, covariances, m.weights, m.dimension, m.isotropic, m.kept))
-    return normalised[0], normalised[1], Normalisation(centres[0], centres[1], scale, unit)
+        _check_resolution(name, _some_points(m, np.flatnonzero(k)), scale)
+    moving, fixed = (m.normalised(c, scale, unit, r) for m, c, r in zip(sides, centres, relative, strict=True))
+    return moving, fixed, Normalisation(centres[0], centres[1], scale, unit)
+
+
+def _some_points(mixture: Mixture, index: NDArray[np.intp]) -> Array:
+    """The points at `index`, of many BULK_FROM."""
+    if len(index) > BULK_FROM:
+        index = np.random.default_rng(0).permutation(index)[:BULK_FROM]
+    return mixture.points_at(index)
 
 
 def _check_resolution(name: str, points: Array, scale: float) -> None:

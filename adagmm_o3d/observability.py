@@ -45,7 +45,7 @@ def free_directions(source: Mixture, pose: Array, matched: Array) -> tuple[Array
     index = np.flatnonzero((source.variances <= FLAGGED) & np.isfinite(matched))
     if len(index) > THINNED[dimension]:
         index = np.sort(np.random.default_rng(0).permutation(index)[: THINNED[dimension]])
-    points = source.points[index] @ pose[:3, :3].T + pose[:3, 3]
+    points = source.points_at(index) @ pose[:3, :3].T + pose[:3, 3]
     weights = matched[index]
     normals = _normals(points, dimension)
     along_normals = np.concatenate([np.cross(points, normals), normals], axis=1)

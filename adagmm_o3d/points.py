@@ -16,13 +16,13 @@ from . import starts
 from .arguments import Array
 from .cascade import Cascade
 from .conclusion import conclude, lower
-from .em import expectation_maximisation
+from .em import Criteria, expectation_maximisation
 from .errors import InputError
 from .expectation import CLOSE_VOLUME, OPEN_VOLUME, AdaptiveExpectation
 from .global_search import is_ambiguous, search_globally
-from .kernels.backend import check_device, make_pair_loop
+from .kernels.backend import check_device, make_pair_loop, mixture_maker
 from .lie import project_to_rotation, split
-from .mixture import Mixture, Normalisation, make_mixture, normalise
+from .mixture import Mixture, Normalisation, normalise
 from .options import TransformationEstimationForAdaptiveGMM
 from .pose_covariance import uncertainty_out
 from .result import PointRegistrationResult, PoseUncertainty, StopReason
@@ -88,12 +88,26 @@ def register_points(
     method, limits = check_estimation_method(estimation_method), check_criteria(criteria)
     callback = check_callback(callback_after_iteration)
     check_device(device)
+    make_mixture = mixture_maker(device, source, target)
     moving = make_mixture("source", source, source_covariances)
     fixed = make_mixture("target", target, target_covariances)
     if moving.dimension != fixed.dimension:
         raise InputError(
             f"target.points: expected shape (n, {moving.dimension}) as the source has, got (n, {fixed.dimension})"
         )
+    return register_mixtures(moving, fixed, init, method, limits, device, callback)
+
+
+def register_mixtures(
+    moving: Mixture,
+    fixed: Mixture,
+    init: ArrayLike | str | None,
+    method: TransformationEstimationForAdaptiveGMM,
+    limits: Criteria,
+    device: str,
+    callback: Observer | None,
+) -> PointRegistrationResult:
+    """Register the mixtures as they came through the door, wherever they lie; see `register_points`."""
     dimension = moving.dimension
     moving, fixed, normalisation = normalise(moving, fixed)
     observe = _observer(callback, normalisation, dimension)

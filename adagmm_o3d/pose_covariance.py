@@ -18,7 +18,8 @@ J. B. Gelbach, D. L. Miller: Robust inference with multiway clustering, J. Busin
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,9 +132,9 @@ def score_moments(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -> S
     # 1 / (density + uniform), for the source points from the probability to have a partner
     source_rest = (1.0 - sums.row_weights) / uniform
     target_rest = 1.0 / (sums.column_densities + uniform)
-    axis = int(np.argmax(np.ptp(target.points, axis=0)))
-    moved = _side(source, fit, fit.pose, source_weights * source_rest ** (1.0 - fit.mutuality), axis)
-    still = _side(target, fit, np.eye(4), target_weights * target_rest**fit.mutuality, axis)
+    make_side, axis = (_ResidentSide, 0) if source.on_device else (_side, int(np.argmax(np.ptp(target.points, axis=0))))
+    moved = make_side(source, fit, fit.pose, source_weights * source_rest ** (1.0 - fit.mutuality), axis)
+    still = make_side(target, fit, np.eye(4), target_weights * target_rest**fit.mutuality, axis)
     curvature, by_points, by_pairs = np.zeros((3, 6, 6))
     sides = (
         (moved, still, source_rest, target_weights, 1.0 - fit.mutuality),
@@ -142,9 +143,13 @@ def score_moments(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -> S
     # A cloud of nothing but flagged outliers has no scores.
     for own, other, rest, shares, exponent in sides if len(moved.index) and len(still.index) else ():
         chosen, growth = _chosen(own, other)
-        rows = _score_sums(own.take(chosen), other, shares, own is moved, source.dimension == 2, axis)
+        part = own.take(chosen)
+        if isinstance(other, _ResidentSide):
+            rows = other.score_sums(part, shares, own is moved, pairs)
+        else:
+            rows = _score_sums(part, other, shares, own is moved, source.dimension == 2, axis)
         score = rows[:, kernel.SCORE : kernel.SENSITIVITY]
-        change = rows[:, kernel.SENSITIVITY : kernel.CURVATURE] * rest[own.index[chosen], None]
+        change = rows[:, kernel.SENSITIVITY : kernel.CURVATURE] * rest[part.index, None]
         curvature += growth * exponent * score.T @ change
         by_points += growth * score.T @ score
         if own is moved:
@@ -203,7 +208,7 @@ def _side(mixture: Mixture, fit: Fit, pose: Array, weights: Array, axis: int) ->
     )
 
 
-def _chosen(own: _Side, other: _Side) -> tuple[NDArray[np.intp], float]:
+def _chosen(own: _Side | _ResidentSide, other: _Side | _ResidentSide) -> tuple[NDArray[np.intp], float]:
     """Which points are looked at, and how many each of them stands for."""
     n = len(own.index)
     count = max(LEAST_SCORED, int(SCORED_PAIRS / len(other.index)))
@@ -220,3 +225,34 @@ def _score_sums(own: _Side, other: _Side, shares: Array, own_is_source: bool, pl
     sums = np.empty((len(own.index), kernel.POINT_SUMS))
     kernel.score_sums(own.arrays(), other.arrays(), shares[other.index], windows, own_is_source, planar, CUT, sums)
     return sums
+
+
+class _ResidentSide:
+    """The same for a cloud that lies on a GPU and stays there, but for the points whose scores are looked at."""
+
+    def __init__(self, mixture: Mixture, fit: Fit, pose: Array, weights: Array, axis: int) -> None:
+        self._mixture, self._fit, self._pose, self._axis = mixture, fit, pose, axis
+        certain = mixture.variances <= FLAGGED
+        self._weights, self.index = np.where(certain, weights, 0.0), np.flatnonzero(certain)
+
+    def take(self, index: NDArray[np.intp]) -> _Side:
+        places = self.index[index]
+        part = _side(self._mixture.take(places), self._fit, self._pose, self._weights[places], self._axis)
+        return replace(part, index=places[part.index])
+
+    def score_sums(self, own: _Side, shares: Array, own_is_source: bool, pairs: Any) -> Array:
+        """(n, POINT_SUMS) of the points of `own`, which belong to the other cloud."""
+        points = np.concatenate([own.points.T, own.covariances.T, own.variances[None]]).astype(np.float32)
+        rows = pairs.score_sums(
+            self._fit.pose,
+            self._fit.sigma,
+            points,
+            own_is_source,
+            self._weights,
+            np.where(self._weights > 0.0, shares, 0.0),
+            CUT,
+        )
+        rows[:, : kernel.SENSITIVITY] *= own.weights[:, None]
+        rows[:, kernel.CURVATURE : kernel.SQUARES] *= own.weights[:, None]
+        rows[:, kernel.SQUARES :] *= own.weights[:, None] ** 2
+        return rows

@@ -58,7 +58,8 @@ def registration_adaptive_gmm(
     criteria : Open3D's ICPConvergenceCriteria, legacy or tensor. `relative_rmse` and `relative_fitness` bound the
         change of the weighted residual and of the pair weights in an iteration, `max_iteration` the EM iterations.
     voxel_size : [input units] > 0 downsamples both clouds first, as `o3d.t.pipelines.registration.icp` does.
-    device : "cpu", "cuda" or "auto".
+    device : "cpu", "cuda", or "auto": a GPU where there is one and enough to do. Tensor clouds on a CUDA device are
+        registered there, whatever their size, unless "cpu" is asked for or `adagmm-o3d[cuda]` is not installed.
     callback_after_iteration : called after each EM iteration with `iteration_index`, `scale_index`,
         `scale_iteration_index`, `fitness`, `inlier_rmse`, `transformation`, `sigma` and `energy`; tensors for tensor
         clouds, Python numbers and an array for legacy ones. There `fitness` is the estimated overlap and `inlier_rmse`
@@ -135,7 +136,8 @@ def _check_legacy(source: Any, target: Any) -> None:
 
 
 def _thinned(name: str, cloud: o3d.geometry.PointCloud, voxel_size: float) -> o3d.geometry.PointCloud:
-    check_voxel_size(name, np.asarray(cloud.points), voxel_size)
+    if len(cloud.points):
+        check_voxel_size(name, cloud.get_min_bound(), cloud.get_max_bound(), voxel_size)
     return cloud.voxel_down_sample(voxel_size)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -11,9 +13,12 @@ from numpy.typing import ArrayLike
 
 from .arguments import Array
 from .errors import InputError, InputTypeError
+from .kernels.backend import check_device
+from .kernels.cuda.availability import obstacle
 from .options import TransformationEstimationForAdaptiveGMM
-from .points import register_points
-from .result import PointRegistrationResult
+from .points import register_mixtures, register_points
+from .result import PointRegistrationResult, PoseUncertainty
+from .settings import check_criteria
 from .uncertainty import estimate_surface_covariances
 
 TensorCloud: TypeAlias = o3d.t.geometry.PointCloud
@@ -22,6 +27,7 @@ Callback = Callable[[dict[str, Any]], None]
 
 # Open3D numbers the voxels along an axis in 32 bits.
 MOST_VOXELS = 2.0**31 - 1.0
+_log = logging.getLogger("adagmm_o3d")
 INTEGER_KEYS = ("iteration_index", "scale_index", "scale_iteration_index")
 
 
@@ -56,17 +62,8 @@ def register_tensor_clouds(
         )
     if voxel_size > 0:
         source, target = _thinned("source", source, voxel_size), _thinned("target", target, voxel_size)
-    details = register_points(
-        source.point.positions.cpu().numpy(),
-        target.point.positions.cpu().numpy(),
-        _covariances("source", source),
-        _covariances("target", target),
-        init=init,
-        estimation_method=method,
-        criteria=criteria,
-        device=device,
-        callback_after_iteration=_as_tensors(callback_after_iteration),
-    )
+    register = _register_in_place if _stays_in_place(source, device) else _register_on_host
+    details = register(source, target, init, method, criteria, device, _as_tensors(callback_after_iteration))
     transformation = o3d.core.Tensor(details.transformation)
     evaluated = o3d.t.pipelines.registration.evaluate_registration(
         source, target, max_correspondence_distance, transformation
@@ -82,6 +79,91 @@ def register_tensor_clouds(
     return result
 
 
+def lies_on_gpu(cloud: TensorCloud) -> bool:
+    """Whether the cloud's memory is that of a CUDA device."""
+    return bool(cloud.is_cuda)
+
+
+def _stays_in_place(cloud: TensorCloud, device: str) -> bool:
+    """Whether the clouds lie on a GPU and are registered there, as they are unless device="cpu" asks otherwise."""
+    if not lies_on_gpu(cloud) or device == "cpu":
+        return False
+    check_device(device)
+    if (reason := obstacle()) is not None:
+        _log.warning("the clouds on %s are registered by way of the host: %s", cloud.device, reason)
+        return False
+    return True
+
+
+def _register_in_place(
+    source: TensorCloud,
+    target: TensorCloud,
+    init: ArrayLike | str | None,
+    method: TransformationEstimationForAdaptiveGMM,
+    criteria: Any,
+    device: str,
+    callback: Callback | None,
+) -> PointRegistrationResult:
+    """On the device that the clouds are on, without their points leaving it."""
+    from .kernels.cuda.cloud import device_mixture
+    from .kernels.cuda.tensors import current_device, on_the_device
+
+    limits = check_criteria(criteria)
+    here = current_device(source.point.positions)
+    with here:
+        mixtures = []
+        for name, cloud in (("source", source), ("target", target)):
+            covariances = _covariances_in_place(name, cloud)
+            mixtures.append(
+                device_mixture(
+                    name,
+                    on_the_device(cloud.point.positions),
+                    None if covariances is None else on_the_device(covariances),
+                )
+            )
+        details = register_mixtures(mixtures[0], mixtures[1], init, method, limits, device, callback)
+
+    def assess() -> PoseUncertainty:
+        with here:  # by then another device may be the current one
+            return details.assess()
+
+    return replace(details, assess=assess)
+
+
+def _covariances_in_place(name: str, cloud: TensorCloud) -> o3d.core.Tensor | None:
+    """Covariances as Float32 or Float64, where the cloud has any."""
+    if "covariances" not in cloud.point:
+        return None
+    covariances = cloud.point.covariances
+    if covariances.dtype == o3d.core.bool:
+        raise InputTypeError(f"{name}.covariances: expected an array of real numbers, got dtype bool")
+    if covariances.dtype not in (o3d.core.float32, o3d.core.float64):
+        covariances = covariances.to(o3d.core.float64)
+    return covariances
+
+
+def _register_on_host(
+    source: TensorCloud,
+    target: TensorCloud,
+    init: ArrayLike | str | None,
+    method: TransformationEstimationForAdaptiveGMM,
+    criteria: Any,
+    device: str,
+    callback: Callback | None,
+) -> PointRegistrationResult:
+    return register_points(
+        source.point.positions.cpu().numpy(),
+        target.point.positions.cpu().numpy(),
+        _covariances("source", source),
+        _covariances("target", target),
+        init=init,
+        estimation_method=method,
+        criteria=criteria,
+        device=device,
+        callback_after_iteration=callback,
+    )
+
+
 def _check_positions(name: str, cloud: TensorCloud) -> None:
     if "positions" not in cloud.point:
         raise InputError(f"{name}.point.positions: the cloud is empty; registration needs at least 3 points")
@@ -90,11 +172,11 @@ def _check_positions(name: str, cloud: TensorCloud) -> None:
         raise InputTypeError(f"{name}.point.positions: expected Float32 or Float64, got {dtype}")
 
 
-def check_voxel_size(name: str, points: Array, voxel_size: float) -> None:
-    """Raise where the cloud would have more voxels along an axis than Open3D can number."""
-    if len(points) == 0 or not np.isfinite(points).all():
+def check_voxel_size(name: str, low: Array, high: Array, voxel_size: float) -> None:
+    """Raise where a cloud between two corners would have more voxels along an axis than Open3D can number."""
+    if not (np.isfinite(low).all() and np.isfinite(high).all()):
         return
-    extent = float(np.ptp(points, axis=0).max())
+    extent = float(np.max(high - low))
     if extent / voxel_size >= MOST_VOXELS:
         raise InputError(
             f"voxel_size: expected more than {extent / MOST_VOXELS:.3g} for the extent {extent:.3g} of {name}, "
@@ -104,7 +186,9 @@ def check_voxel_size(name: str, points: Array, voxel_size: float) -> None:
 
 def _thinned(name: str, cloud: TensorCloud, voxel_size: float) -> TensorCloud:
     """Voxel averages of the positions and of the covariances; Open3D averages attributes of one row a point only."""
-    check_voxel_size(name, cloud.point.positions.cpu().numpy(), voxel_size)
+    if len(cloud.point.positions):
+        low, high = (corner.cpu().numpy() for corner in (cloud.get_min_bound(), cloud.get_max_bound()))
+        check_voxel_size(name, low, high, voxel_size)
     flat = TensorCloud(cloud.point.positions)
     if "covariances" in cloud.point:
         wanted, got = (len(cloud.point.positions), 3, 3), tuple(cloud.point.covariances.shape)

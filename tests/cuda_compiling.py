@@ -44,12 +44,11 @@ def compile_to_ptx(kernel, signature, capability):
 
 
 def find_ptxas():
-    """The assembler: on PATH, or from the wheel nvidia-cuda-nvcc; None where there is neither."""
-    if (on_path := shutil.which("ptxas")) is not None:
-        return on_path
+    """The assembler: from the wheel nvidia-cuda-nvcc, which is as new as the compiler, or on PATH; else None."""
     spec = importlib.util.find_spec("nvidia")
     folders = [] if spec is None else list(spec.submodule_search_locations or [])
-    return next((str(p) for folder in folders for p in Path(folder).glob("*/bin/ptxas")), None)
+    from_wheel = (str(p) for folder in folders for p in Path(folder).glob("*/bin/ptxas"))
+    return next(from_wheel, None) or shutil.which("ptxas")
 
 
 def assemble(ptx, capability, folder):

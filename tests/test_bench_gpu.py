@@ -44,8 +44,28 @@ def test_share_of_peak_follows_from_the_pairs():
 
 
 def test_registrations_are_set_beside_the_cpu_and_the_paper():
-    (row,) = gpu.time_rows([Timing(4000, {"cuda": 0.02, "cpu": 0.1}, {"cuda": 0.01, "cpu": 0.02})])
-    assert row == ("4000", "0.02", "0.1", "5.0", "500", "0.010", "0.020")
+    seconds = {"resident": 0.015, "cuda": 0.02, "cpu": 0.1}
+    (row,) = gpu.time_rows([Timing(4000, seconds, {"resident": 0.01, "cuda": 0.01, "cpu": 0.02})])
+    assert row == ("4000", "0.015", "0.02", "0.1", "5.0", "500", "0.010", "0.020")
+    assert len(row) == len(gpu.TIME_COLUMNS)
+
+
+def test_what_is_measured_stays_when_the_rest_is_interrupted(tmp_path, monkeypatch, capsys):
+    def interrupted(sizes, repeats):
+        seconds = {"resident": 0.015, "cuda": 0.02, "cpu": 0.1}
+        yield Timing(sizes[0], seconds, dict.fromkeys(seconds, 0.01))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(gpu, "pair_rates", lambda: [Rate("adaptive", 1e9)])
+    monkeypatch.setattr(gpu, "registration_timings", interrupted)
+    report = tmp_path / "report.md"
+    with pytest.raises(KeyboardInterrupt):
+        gpu.measure(GTX_1080_TI_LIKE, 1, report, "checked\n")
+    text = report.read_text()
+    assert text.startswith("checked\n")
+    assert "| adaptive | 87 | 1.0 | 0.09 | 1 % |" in text
+    assert "| 1000 | 0.015 | 0.02 | 0.1 | 5.0 | 500 | 0.010 | 0.010 |" in text
+    assert "1000 points registered in 0.02 s" in capsys.readouterr().out
 
 
 def test_an_error_that_is_no_number_is_a_failure_and_the_worst():

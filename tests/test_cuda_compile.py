@@ -11,15 +11,20 @@ from adagmm_o3d.kernels.cuda.availability import missing_front_end, simulated
 if (missing := missing_front_end()) is not None or simulated():
     pytest.skip(missing or "the simulator compiles nothing", allow_module_level=True)
 
-from numba import boolean, cuda, float32, float64, types
+from numba import boolean, cuda, float32, float64, int32, types, uint8, uint32
 
 from adagmm_o3d.kernels.cuda import (
     adaptive_rows,
     convolved_columns,
     convolved_rows,
+    inspecting,
     moving,
     nearest,
+    packing,
     reductions,
+    scores,
+    summing,
+    surface,
 )
 
 CAPABILITIES = [(7, 5), (8, 0), (9, 0)]
@@ -42,6 +47,11 @@ MOVE = (POSE, float32, boolean, POINTS, BOXES, POINTS, BOXES)
 ADAPTIVE = (POINTS, BOXES, float32, POINTS, BOXES, float32, float32, SUMS)
 CONVOLVED = (POINTS, BOXES, POINTS, BOXES, float32, boolean, BOXES, float32, float32, SUMS)
 COLUMNS = (POINTS, BOXES, float32, boolean, POINTS, BOXES, TABLE)
+NARROW, WIDE = (BOXES, POINTS, TABLE, array(uint8, 1)), (TABLE, SUMS, TABLE, array(uint8, 1))
+CENTRE, INDEX = types.UniTuple(float64, 3), array(int32, 1)
+FRAME = (CENTRE, float64, float64, float64, float64)
+PACK = (TABLE, INDEX, *FRAME, BOXES, BOXES, POINTS, BOXES)
+SCORES = (BOXES, POINTS, BOXES, float32, float32, BOXES, BOXES, float32, TABLE)
 KERNELS = [
     (moving.move_isotropic, MOVE),
     (moving.move_anisotropic, MOVE),
@@ -58,10 +68,42 @@ KERNELS = [
     (reductions.reduce_columns, (TABLE, float64, TABLE, float64, VECTOR, BOXES, TABLE)),
     (reductions.reduce_nearest, (BOXES, FLAT)),
     (reductions.total, (TABLE, TABLE, VECTOR)),
+    (inspecting.inspect_given, NARROW),
+    (inspecting.inspect_given, WIDE),
+    (inspecting.inspect_bare, (BOXES, BOXES, TABLE, array(uint8, 1))),
+    (inspecting.inspect_bare, (TABLE, TABLE, TABLE, array(uint8, 1))),
+    (summing.bounds, (TABLE, TABLE)),
+    (summing.moments, (TABLE, VECTOR, CENTRE, CENTRE, float64, TABLE)),
+    (packing.morton_codes, (TABLE, CENTRE, float64, CENTRE, float64, array(uint32, 1))),
+    (packing.gather, (TABLE, INDEX, TABLE)),
+    (packing.pack_precisions_isotropic, PACK),
+    (packing.pack_precisions, PACK),
+    (packing.pack_covariances_isotropic, PACK),
+    (packing.pack_covariances, PACK),
+    (scores.score_sums_of_source_isotropic, SCORES),
+    (scores.score_sums_of_source, SCORES),
+    (scores.score_sums_of_target_isotropic, SCORES),
+    (scores.score_sums_of_target, SCORES),
+    (surface.point_boxes, (TABLE, TABLE)),
+    (surface.surface_covariances, (TABLE, TABLE, INDEX, TABLE)),
 ]
 NAMES = ["move isotropic", "move", "adaptive isotropic", "adaptive", "convolved isotropic", "convolved"]
 NAMES += ["columns isotropic", "columns", "nearest", "reduce adaptive isotropic", "reduce adaptive"]
 NAMES += ["reduce convolved", "reduce columns", "reduce nearest", "total"]
+NAMES += ["inspect float32", "inspect float64", "inspect bare float32", "inspect bare float64", "bounds", "moments"]
+NAMES += ["codes", "gather", "pack precisions isotropic", "pack precisions", "pack covariances isotropic"]
+NAMES += [
+    "pack covariances",
+    "scores of source isotropic",
+    "scores of source",
+    "scores of target isotropic",
+    "scores of target",
+    "point boxes",
+    "surface",
+]
+
+
+CONVOLVED_NAMES = ["convolved isotropic", "convolved", "columns isotropic", "columns"]
 
 
 @pytest.mark.parametrize("capability", CAPABILITIES, ids=lambda c: "sm_{}{}".format(*c))
@@ -83,6 +125,7 @@ def test_kernel_compiles_and_keeps_to_its_registers(kernel, signature, capabilit
 
 def test_every_kernel_of_the_package_is_in_the_list():
     modules = (adaptive_rows, convolved_columns, convolved_rows, moving, nearest, reductions)
+    modules += (inspecting, packing, scores, summing, surface)
     dispatcher = type(reductions.total)
     launched = {
         id(value)
@@ -93,9 +136,13 @@ def test_every_kernel_of_the_package_is_in_the_list():
     assert launched == {id(kernel) for kernel, _ in KERNELS}
 
 
-def test_pair_loops_use_the_hardware_exponential_and_no_float64():
-    ptx = cuda_compiling.compile_to_ptx(adaptive_rows.adaptive_rows_anisotropic, ADAPTIVE, (8, 0))
+@pytest.mark.parametrize("name", ["adaptive isotropic", "adaptive", *CONVOLVED_NAMES])
+def test_pair_loops_use_the_hardware_functions_and_no_float64(name):
+    kernel, signature = KERNELS[NAMES.index(name)]
+    ptx = cuda_compiling.compile_to_ptx(kernel, signature, (8, 0))
     assert "ex2.approx.ftz.f32" in ptx
+    assert ("rsqrt.approx.ftz.f32" in ptx) is (name in CONVOLVED_NAMES)
+    assert not re.search(r"\s(sqrt|rcp)\.", ptx)
     # float64 takes over at the end of a run of tiles, and for the sums themselves.
     assert "cvt.rn.f32.f64" not in ptx and "mul.f64" not in ptx and "mul.rn.f64" not in ptx
 

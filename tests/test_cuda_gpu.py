@@ -1,6 +1,7 @@
 """The CUDA kernels on a GPU: what the simulator cannot see (races, rounding, real blocks), and whole registrations."""
 
 import numpy as np
+import open3d as o3d
 import pytest
 
 from adagmm_o3d.kernels.cuda.availability import obstacle, simulated
@@ -12,7 +13,8 @@ import cuda_cases
 from cuda_cases import Case
 from mixtures import random_pose
 
-from adagmm_o3d import register_points
+from adagmm_bench.gpu.checks import run_checks
+from adagmm_o3d import register_points, registration_adaptive_gmm
 from adagmm_o3d.kernels.cuda.front_end import TILE
 
 SHAPES = [("2D", 2, True), ("2D anisotropic", 2, False), ("3D", 3, True), ("3D anisotropic", 3, False)]
@@ -49,6 +51,32 @@ def test_the_cpu_gives_the_same_sums(dimension, isotropic, m, n):
 def test_the_bits_are_the_same_every_time():
     case = Case(5, 3000, 4000, 3, isotropic=False)
     assert len({cuda_cases.bits(case) for _ in range(5)}) == 1
+
+
+def test_every_check_of_the_bench_passes():
+    assert [check for check in run_checks(seed=9) if not check.passed] == []
+
+
+@pytest.mark.skipif(not o3d.core.cuda.is_available(), reason="this Open3D knows no CUDA")
+@pytest.mark.parametrize("dtype", [o3d.core.float32, o3d.core.float64], ids=["float32", "float64"])
+def test_tensor_clouds_on_the_gpu_are_registered_there(dtype, monkeypatch):
+    from adagmm_o3d.kernels.cuda import cloud
+
+    def refuse(self):
+        raise AssertionError("all points were copied to the host")
+
+    monkeypatch.setattr(cloud.DeviceMixture, "_everything", property(refuse))
+    rng = np.random.default_rng(2)
+    target = rng.normal(size=(5000, 3)) * (1.0, 0.7, 0.4)
+    T = random_pose(rng, 3, angle=0.2, distance=0.1)
+    source = (target - T[:3, 3]) @ T[:3, :3] + 0.003 * rng.normal(size=target.shape)
+    clouds = [o3d.t.geometry.PointCloud(o3d.core.Tensor(points, dtype)) for points in (source, target)]
+    expected = registration_adaptive_gmm(*clouds, 0.05, device="cpu")
+    result = registration_adaptive_gmm(*(c.cuda() for c in clouds), 0.05)
+    assert result.correspondence_set.device == o3d.core.Device("CUDA:0")
+    assert result.transformation.device == expected.transformation.device
+    np.testing.assert_allclose(result.transformation.numpy(), expected.transformation.numpy(), rtol=0, atol=1e-4)
+    np.testing.assert_allclose(result.fitness, expected.fitness, rtol=1e-3, atol=0)
 
 
 @pytest.mark.parametrize("rule", ["posterior", "nearest"])

@@ -5,8 +5,10 @@ import subprocess
 import sys
 
 import numpy as np
+import open3d as o3d
 import pytest
 
+from adagmm_o3d import registration_adaptive_gmm, tensor_registration
 from adagmm_o3d.errors import DeviceError
 from adagmm_o3d.kernels import backend
 from adagmm_o3d.kernels.cuda import availability
@@ -63,6 +65,34 @@ def test_auto_says_once_what_it_picked(mixture, monkeypatch, caplog):
     assert [record.getMessage() for record in caplog.records] == [
         "device: 'auto' picked the CPU, as no CUDA GPU or no driver for it was found for 1 pairs and more"
     ]
+
+
+def test_clouds_on_a_gpu_that_cannot_be_used_go_by_way_of_the_host(monkeypatch, caplog):
+    rng = np.random.default_rng(0)
+    clouds = [o3d.t.geometry.PointCloud(o3d.core.Tensor(rng.normal(size=(40, 3)))) for _ in range(2)]
+    expected = registration_adaptive_gmm(*clouds, 1.0, device="cpu")
+    monkeypatch.setattr(tensor_registration, "lies_on_gpu", lambda cloud: True)
+    monkeypatch.setattr(tensor_registration, "obstacle", lambda: "the driver is missing")
+    with caplog.at_level(logging.INFO, logger="adagmm_o3d"):
+        result = registration_adaptive_gmm(*clouds, 1.0)
+    np.testing.assert_array_equal(result.transformation.numpy(), expected.transformation.numpy())
+    assert [record.getMessage() for record in caplog.records] == [
+        "the clouds on CPU:0 are registered by way of the host: the driver is missing"
+    ]
+
+
+@pytest.mark.skipif(
+    availability.missing_front_end() is not None or availability.simulated(), reason="numba-cuda is not installed"
+)
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_a_tensor_is_read_where_it_lies(dtype):
+    from adagmm_o3d.kernels.cuda.tensors import Shared
+
+    values = np.arange(12, dtype=dtype).reshape(4, 3)
+    tensor = o3d.core.Tensor(values)
+    described = Shared(tensor).__cuda_array_interface__
+    assert (described["shape"], described["typestr"], described["strides"]) == ((4, 3), values.dtype.str, None)
+    assert described["data"] == (tensor.numpy().ctypes.data, False)
 
 
 def test_a_registration_on_the_cpu_imports_nothing_of_cuda():

@@ -136,7 +136,9 @@ def test_the_result_is_open3ds_and_counts_as_open3d_does(pair):
     assert isinstance(result, reg.RegistrationResult)
     assert result.transformation.shape == (4, 4) and result.transformation.dtype == np.float64
     assert 0.0 < result.fitness <= 1.0
-    assert (result.fitness, result.inlier_rmse) == (expected.fitness, expected.inlier_rmse)
+    assert result.fitness == expected.fitness
+    # Open3D's threads add up in no fixed order
+    np.testing.assert_allclose(result.inlier_rmse, expected.inlier_rmse, rtol=1e-12, atol=0)
     np.testing.assert_array_equal(np.asarray(result.correspondence_set), np.asarray(expected.correspondence_set))
     assert len(result.correspondence_set) == round(result.fitness * len(pair.source.points))
     assert repr(result).startswith("RegistrationResult with fitness=")

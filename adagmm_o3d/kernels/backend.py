@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import logging
+import math
+from collections.abc import Callable
 from functools import cache
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from ..errors import DeviceError
-from ..mixture import Mixture
+from ..mixture import Mixture, make_mixture
 from .cuda.availability import device_name, obstacle
 from .pair_loop import PairLoop
 
@@ -33,14 +38,36 @@ def check_device(device: str) -> None:
 def make_pair_loop(source: Mixture, target: Mixture, device: str) -> PairLoop | CudaPairLoop:
     """The pairs of two mixtures on the device asked for; "auto" takes a GPU where there is one and enough to do."""
     check_device(device)
-    automatic = device == "auto" and len(source) * len(target) >= CROSSING_PAIRS
-    if automatic:
-        _say_once(obstacle())
-    if device == "cuda" or (automatic and obstacle() is None):
+    if source.on_device or takes_gpu(device, len(source) * len(target)):
         from .cuda.pair_loop import CudaPairLoop
 
         return CudaPairLoop(source, target)
     return PairLoop(source, target)
+
+
+def takes_gpu(device: str, pairs: int) -> bool:
+    """Whether so many pairs are evaluated on a GPU, for a `device` that has been checked."""
+    if device != "auto" or pairs < CROSSING_PAIRS:
+        return device == "cuda"
+    reason = obstacle()
+    _say_once(reason)
+    return reason is None
+
+
+def mixture_maker(device: str, source: ArrayLike, target: ArrayLike) -> Callable[..., Mixture]:
+    """What makes mixtures of two clouds: `make_mixture`, or where a GPU takes their pairs its twin there.
+
+    What is no array of points is left to be refused by either.
+    """
+    try:
+        pairs = math.prod(np.shape(cloud)[0] for cloud in (source, target))
+    except (IndexError, TypeError, ValueError):
+        return make_mixture
+    if not takes_gpu(device, pairs):
+        return make_mixture
+    from .cuda.cloud import uploaded_mixture
+
+    return uploaded_mixture
 
 
 @cache

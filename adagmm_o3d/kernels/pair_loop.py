@@ -60,14 +60,19 @@ class PosteriorSums(PairSums):
     column_densities: Array
 
 
+def amplitudes_and_bits(mixture: Mixture) -> tuple[Array, Array]:
+    """(n,) heights of the components relative to the highest, and by how many powers of two a weight may fall."""
+    amplitudes = mixture.variances ** (-0.5 * mixture.dimension)
+    amplitudes /= amplitudes.max()
+    # A pair weighs at most what its vaguer half allows: what is too vague reaches nowhere by itself.
+    return amplitudes, np.maximum(0.0, CUT_BITS + np.log2(amplitudes))
+
+
 class Side:
     """One mixture as the kernels want it: neighbours together, float32, one row per component."""
 
     def __init__(self, mixture: Mixture, isotropic: bool) -> None:
-        amplitudes = mixture.variances ** (-0.5 * mixture.dimension)
-        amplitudes /= amplitudes.max()
-        # A pair weighs at most what its vaguer half allows: what is too vague reaches nowhere by itself.
-        bits = np.maximum(0.0, CUT_BITS + np.log2(amplitudes))
+        amplitudes, bits = amplitudes_and_bits(mixture)
         self._rows = 1 if isotropic else 6
         self._mixture = mixture
         self.order = morton_order(mixture.points, last=bits == 0.0)

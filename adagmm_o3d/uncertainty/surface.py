@@ -10,12 +10,15 @@ from ..neighbors import NeighborIndex
 CHUNK = 65536
 """Points whose neighbourhoods are gathered at a time; bounds the memory."""
 
+KNN, EPSILON = 20, 1e-3
+"""Open3D's neighbours per point, and its variance across the surface."""
+
 LINE_RATIO = 1e-10
 """A neighbourhood whose second smallest variance is below this share of the whole has no normal."""
 
 
 def estimate_surface_covariances(
-    points: ArrayLike, normals: ArrayLike | None = None, *, knn: int = 20, epsilon: float = 1e-3
+    points: ArrayLike, normals: ArrayLike | None = None, *, knn: int = KNN, epsilon: float = EPSILON
 ) -> Array:
     """Plane covariances as in Generalized ICP: 1 along the surface, `epsilon` across it; in 2D along a curve.
 
@@ -59,16 +62,20 @@ def estimate_surface_covariances(
     return np.eye(dimension) - (1.0 - thickness) * (n[:, :, None] * n[:, None, :])
 
 
-def _estimate_normals(points: Array, knn: int) -> Array:
-    """Unit normals (N, D), zero where the neighbourhood has none."""
-    count, dimension = points.shape
+def check_count(count: int, dimension: int) -> None:
+    """Raise if so few points have no normals."""
     if count <= dimension:
         raise DegenerateError(
             f"points: expected more than {dimension} to estimate normals from, got {count}; pass normals or covariances"
         )
+
+
+def _estimate_normals(points: Array, knn: int) -> Array:
+    """Unit normals (N, D), zero where the neighbourhood has none."""
+    check_count(*points.shape)
     index = NeighborIndex(points)
     normals = np.empty_like(points)
-    for start in range(0, count, CHUNK):
+    for start in range(0, len(points), CHUNK):
         chunk = slice(start, start + CHUNK)
         rows, _ = index.query(points[chunk], knn)
         offsets = points[rows] - points[rows].mean(axis=1, keepdims=True)

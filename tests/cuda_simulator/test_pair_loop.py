@@ -76,8 +76,8 @@ def test_shares_of_the_other_side_add_up_to_the_same(isotropic, monkeypatch):
 
     def passes():
         loop = case.cuda_loop()
-        posterior, columns = loop.posterior_sums(case.lifted, 0.2, 0.05)
-        return loop.sums(case.lifted, *case.sigmas), posterior, np.asarray(columns), loop.nearest_sq(case.lifted)
+        posterior = loop.posterior_sums(case.lifted, 0.2, 0.05, 0.5)
+        return loop.sums(case.lifted, *case.sigmas), posterior, posterior.column_densities, loop.nearest_sq(case.lifted)
 
     alone = passes()
     monkeypatch.setattr(pair_loop, "WANTED_BLOCKS", 1000)
@@ -100,7 +100,7 @@ def test_far_tiles_are_left_out(dimension, isotropic):
     loop = case.cuda_loop()
     C = reference.pair_weights(case.y, case.B, case.target, case.A) / case.unit()
     np.testing.assert_allclose(loop.sums(case.lifted, *case.sigmas).weight, C.sum(), rtol=1e-5, atol=0)
-    before = loop.posterior_sums(case.lifted, 1e-3, 0.05)
+    before = vectors(loop.posterior_sums(case.lifted, 1e-3, 0.05))
     nearest = loop.nearest_sq(case.lifted)
 
     # Spoil every tile of the heap at 50 that a source tile near 0 could touch; only its own half may notice.
@@ -115,9 +115,9 @@ def test_far_tiles_are_left_out(dimension, isotropic):
     near_columns = case.target[:, 0] < 25.0
     weights = loop.sums(case.lifted, *case.sigmas).row_weights
     np.testing.assert_allclose(weights[near_rows], C.sum(axis=1)[near_rows], rtol=1e-5, atol=0)
-    posterior, columns = loop.posterior_sums(case.lifted, 1e-3, 0.05)
-    np.testing.assert_array_equal(posterior.row_weights[near_rows], before[0].row_weights[near_rows])
-    np.testing.assert_array_equal(np.asarray(columns)[near_columns], np.asarray(before[1])[near_columns])
+    posteriors, columns = vectors(loop.posterior_sums(case.lifted, 1e-3, 0.05))
+    np.testing.assert_array_equal(posteriors[near_rows], before[0][near_rows])
+    np.testing.assert_array_equal(columns[near_columns], before[1][near_columns])
     np.testing.assert_array_equal(loop.nearest_sq(case.lifted)[near_rows], nearest[near_rows])
     assert np.isnan(weights[~near_rows]).all()
 
@@ -125,21 +125,34 @@ def test_far_tiles_are_left_out(dimension, isotropic):
 def test_vectors_on_the_device_do_not_change_when_their_buffers_are_used_again():
     case = Case(8, TILE + 1, TILE + 2, 3, isotropic=True)
     loop = case.cuda_loop()
-    read_at_once = [np.array(v) for s in (0.1, 0.2, 0.3) for v in vectors(loop.posterior_sums(case.lifted, s, 0.05))]
+    read_at_once = [v for s in (0.1, 0.2, 0.3) for v in vectors(loop.posterior_sums(case.lifted, s, 0.05, 0.5))]
     spoil(loop)
-    held = [loop.posterior_sums(case.lifted, s, 0.05) for s in (0.1, 0.2, 0.3)]
-    for late, early in zip((v for pair in held for v in vectors(pair)), read_at_once, strict=True):
+    held = [loop.posterior_sums(case.lifted, s, 0.05, 0.5) for s in (0.1, 0.2, 0.3)]
+    for late, early in zip((v for sums in held for v in vectors(sums)), read_at_once, strict=True):
         np.testing.assert_array_equal(late, early)
-    # Columns whose buffer was taken back in the meantime serve a pass as well as fresh ones.
-    again, _ = loop.posterior_sums(case.lifted, 0.2, 0.05, held[0][1], 0.5)
-    expected, _ = loop.posterior_sums(case.lifted, 0.2, 0.05, read_at_once[1], 0.5)
-    np.testing.assert_array_equal(again.hessian, expected.hessian)
-    np.testing.assert_array_equal(1.0 / (held[1][1] + 0.05), 1.0 / (read_at_once[3] + 0.05))
 
 
-def vectors(pair):
-    sums, columns = pair
-    return sums.row_weights, np.asarray(columns)
+def test_the_target_is_asked_only_when_somebody_wants_to_know(monkeypatch):
+    case = Case(10, TILE + 1, TILE + 2, 3, isotropic=False)
+    expected = case.cpu_loop().posterior_sums(case.lifted, 0.2, 0.05)
+    loop, asked = case.cuda_loop(), []
+    launch = loop.launch_convolved_columns
+    monkeypatch.setattr(loop, "launch_convolved_columns", lambda sigma: (asked.append(sigma), launch(sigma)))
+    sums = loop.posterior_sums(case.lifted, 0.2, 0.05)
+    check_same(sums, expected)
+    assert asked == []
+    loop.sums(np.eye(4), 0.7, 0.7)  # the source is elsewhere when the answer is wanted
+    np.testing.assert_allclose(sums.target_overlap, expected.target_overlap, rtol=1e-6, atol=0)
+    np.testing.assert_allclose(sums.log_likelihood, expected.log_likelihood, rtol=1e-6, atol=0)
+    np.testing.assert_allclose(sums.column_densities, expected.column_densities, rtol=2e-6, atol=1e-9)
+    assert asked == [0.2]
+    # weights that need the answer get it at once, and only once
+    sums = loop.posterior_sums(case.lifted, 0.1, 0.05, 0.5)
+    assert sums.target_overlap > 0.0 and asked == [0.2, 0.1]
+
+
+def vectors(sums):
+    return sums.row_weights, sums.column_densities
 
 
 def posterior(loop):

@@ -129,13 +129,17 @@ def _build(isotropic, stamp):
                 for i in range(components):
                     x[t, i] = target[tile, i, t] * (scale if i >= MATRIX else F1)
                 cuda.syncthreads()
-                for j in range(0, TILE, 2):
+                for j in range(0, TILE, 4):
                     if isotropic:
                         s = pair_isotropic(x, j, y0, y1, y2, b0, s)
                         s = pair_isotropic(x, j + 1, y0, y1, y2, b0, s)
+                        s = pair_isotropic(x, j + 2, y0, y1, y2, b0, s)
+                        s = pair_isotropic(x, j + 3, y0, y1, y2, b0, s)
                     else:
                         s = pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, s)
                         s = pair_anisotropic(x, j + 1, y0, y1, y2, b0, b1, b2, b3, b4, b5, s)
+                        s = pair_anisotropic(x, j + 2, y0, y1, y2, b0, b1, b2, b3, b4, b5, s)
+                        s = pair_anisotropic(x, j + 3, y0, y1, y2, b0, b1, b2, b3, b4, b5, s)
                 pending += 1
                 if pending == FLUSH:
                     total = added(total, s)

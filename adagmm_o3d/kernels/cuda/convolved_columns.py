@@ -8,7 +8,7 @@ import math
 
 from numba import float32, int32
 
-from .front_end import F0, F1, TILE, cuda, fast, fast_kernel, formulas, source_stamp
+from .front_end import F0, F1, TILE, cuda, fast, fast_kernel, formulas, inverse_root, source_stamp
 from .tiles import MATRIX, is_near
 
 symmetric_product, dot, adjugate = formulas.symmetric_product, formulas.dot, formulas.adjugate
@@ -27,7 +27,7 @@ def density_anisotropic(y, j, x0, x1, x2, a0, a1, a2, a3, a4, a5):
     s1 = y[j, 5] + a1
     s2 = y[j, 6] + a2
     c0, c1, c2, c3, c4, c5 = adjugate(s0, s1, s2, y[j, 7] + a3, y[j, 8] + a4, y[j, 9] + a5)
-    root = F1 / math.sqrt(dot(s0, s1, s2, c0, c1, c2))
+    root = inverse_root(dot(s0, s1, s2, c0, c1, c2))
     vx, vy, vz = symmetric_product(c0, c1, c2, c3, c4, c5, dx, dy, dz)
     return y[j, 3] * root * math.exp2(-dot(dx, dy, dz, vx, vy, vz) * (root * root))
 
@@ -38,9 +38,9 @@ def density_isotropic(y, j, x0, x1, x2, a, flat):
     dx = y[j, 0] - x0
     dy = y[j, 1] - x1
     dz = y[j, 2] - x2
-    precision = F1 / (y[j, 4] + a)
-    root = F1 if flat else math.sqrt(precision)
-    return y[j, 3] * precision * root * math.exp2(-precision * dot(dx, dy, dz, dx, dy, dz))
+    root = inverse_root(y[j, 4] + a)
+    precision = root * root
+    return y[j, 3] * precision * (F1 if flat else root) * math.exp2(-precision * dot(dx, dy, dz, dx, dy, dz))
 
 
 def _build(isotropic, stamp):
@@ -89,13 +89,17 @@ def _build(isotropic, stamp):
                 for i in range(components):
                     y[t, i] = moved[tile, i, t]
                 cuda.syncthreads()
-                for j in range(0, TILE, 2):
+                for j in range(0, TILE, 4):
                     if isotropic:
                         s += density_isotropic(y, j, x0, x1, x2, a0, flat)
                         s += density_isotropic(y, j + 1, x0, x1, x2, a0, flat)
+                        s += density_isotropic(y, j + 2, x0, x1, x2, a0, flat)
+                        s += density_isotropic(y, j + 3, x0, x1, x2, a0, flat)
                     else:
                         s += density_anisotropic(y, j, x0, x1, x2, a0, a1, a2, a3, a4, a5)
                         s += density_anisotropic(y, j + 1, x0, x1, x2, a0, a1, a2, a3, a4, a5)
+                        s += density_anisotropic(y, j + 2, x0, x1, x2, a0, a1, a2, a3, a4, a5)
+                        s += density_anisotropic(y, j + 3, x0, x1, x2, a0, a1, a2, a3, a4, a5)
                 pending += 1
                 if pending == FLUSH:
                     total += s

@@ -4,7 +4,7 @@ import math
 
 from numba import float32, int32
 
-from .front_end import F0, F1, TILE, cuda, fast, fast_kernel, formulas, source_stamp
+from .front_end import F0, F1, TILE, cuda, fast, fast_kernel, formulas, inverse_root, source_stamp
 from .tiles import MATRIX, is_near
 
 symmetric_product, dot, adjugate = formulas.symmetric_product, formulas.dot, formulas.adjugate
@@ -28,7 +28,7 @@ def pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, s):
     s1 = x[j, 5] + b1
     s2 = x[j, 6] + b2
     c0, c1, c2, c3, c4, c5 = adjugate(s0, s1, s2, x[j, 7] + b3, x[j, 8] + b4, x[j, 9] + b5)
-    root = F1 / math.sqrt(dot(s0, s1, s2, c0, c1, c2))
+    root = inverse_root(dot(s0, s1, s2, c0, c1, c2))
     inverse = root * root
     vx, vy, vz = symmetric_product(c0, c1, c2, c3, c4, c5, dx, dy, dz)
     q = dot(dx, dy, dz, vx, vy, vz) * inverse
@@ -57,11 +57,12 @@ def pair_isotropic(x, j, y0, y1, y2, b, flat, s):
     dx = y0 - x[j, 0]
     dy = y1 - x[j, 1]
     dz = y2 - x[j, 2]
-    precision = F1 / (x[j, 4] + b)
+    root = inverse_root(x[j, 4] + b)
+    precision = root * root
     d2 = dot(dx, dy, dz, dx, dy, dz)
     q = precision * d2
     # |Σ|^(-1/2): the precision to the power D / 2.
-    g = x[j, 3] * precision * (F1 if flat else math.sqrt(precision)) * math.exp2(-q)
+    g = x[j, 3] * precision * (F1 if flat else root) * math.exp2(-q)
     c = g * x[j, 5]
     k = c * precision
     p = s[2] + k
@@ -143,13 +144,17 @@ def _build(isotropic, stamp):
                     x[t, i] = target[tile, i, t] * (sigma if i >= MATRIX else F1)
                 x[t, factor] = column_factor(columns[tile, t], uniform, mutuality) if mutuality > F0 else F1
                 cuda.syncthreads()
-                for j in range(0, TILE, 2):
+                for j in range(0, TILE, 4):
                     if isotropic:
                         s = pair_isotropic(x, j, y0, y1, y2, b0, flat, s)
                         s = pair_isotropic(x, j + 1, y0, y1, y2, b0, flat, s)
+                        s = pair_isotropic(x, j + 2, y0, y1, y2, b0, flat, s)
+                        s = pair_isotropic(x, j + 3, y0, y1, y2, b0, flat, s)
                     else:
                         s = pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, s)
                         s = pair_anisotropic(x, j + 1, y0, y1, y2, b0, b1, b2, b3, b4, b5, s)
+                        s = pair_anisotropic(x, j + 2, y0, y1, y2, b0, b1, b2, b3, b4, b5, s)
+                        s = pair_anisotropic(x, j + 3, y0, y1, y2, b0, b1, b2, b3, b4, b5, s)
                 pending += 1
                 if pending == FLUSH:
                     total = added(total, s)

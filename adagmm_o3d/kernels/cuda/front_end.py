@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import warnings
 from pathlib import Path
 
@@ -24,6 +25,7 @@ warnings.filterwarnings("ignore", message="Grid size", category=NumbaPerformance
 # simulator makes an operating system thread of each; a few are enough to see what is wrong.
 TILE = 8 if simulated() else culling.TILE
 F0, F1 = np.float32(0.0), np.float32(1.0)
+SIMULATED = simulated()
 
 
 def source_stamp() -> int:
@@ -51,6 +53,12 @@ def kernel(function):
 def fast_kernel(function):
     """The same for one that calls `fast` functions: how float32 rounds is settled for a kernel as a whole."""
     return cuda.jit(function) if simulated() else cuda.jit(cache=True, fastmath=True)(function)
+
+
+@fast
+def inverse_root(x):
+    """1/√x of a float32: one instruction of the GPU, which the compiler does not find by itself."""
+    return F1 / math.sqrt(x) if SIMULATED else cuda.libdevice.rsqrtf(x)
 
 
 # The formulas for the GPU.

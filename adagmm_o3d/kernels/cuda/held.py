@@ -7,50 +7,40 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from ...arguments import Array
 from .front_end import cuda
 
 
-class Held(NDArrayOperatorsMixin):
-    """(n,) float64 on the device in the kernels' order; NumPy sees it on the host in the mixture's order.
+class Held:
+    """(n,) float64 on the device in the kernels' order; on the host it is in the mixture's order.
 
-    The buffers under it are used in turn. One that is needed again while its vector is still alive is read first, so a
-    vector never changes.
+    The buffers are used in turn. One that is needed again while its vector is still alive is read first, so a vector
+    never changes.
     """
 
-    def __init__(self, buffers: tuple[Any, ...], restore: Callable[[Array], Array], size: int) -> None:
-        self.buffers: tuple[Any, ...] | None = buffers
+    def __init__(self, buffer: Any, restore: Callable[[Array], Array], size: int) -> None:
+        self.buffer: Any = buffer
         self._restore, self._size = restore, size
         self._values: Array | None = None
 
     def read(self) -> Array:
         """(n,) on the host; copied once."""
         if self._values is None:
-            assert self.buffers is not None
-            self._values = self._restore(self.buffers[0].copy_to_host()[: self._size])
+            self._values = self._restore(self.buffer.copy_to_host()[: self._size])
         return self._values
 
     def release(self) -> None:
-        """Read what is not read yet and let go of the buffers."""
+        """Read what is not read yet and let go of the buffer."""
         self.read()
-        self.buffers = None
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
-        values = self.read()
-        return values.copy() if dtype is None else values.astype(dtype)
-
-    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **settings: Any) -> Any:
-        """Arithmetic is done on the host."""
-        return getattr(ufunc, method)(*(v.read() if isinstance(v, Held) else v for v in inputs), **settings)
+        self.buffer = None
 
 
 class Turn:
-    """Two sets of buffers used in turn: one pass reads what the pass before has left."""
+    """Two buffers used in turn: the vector of one pass outlives the next."""
 
-    def __init__(self, shapes_and_dtypes: list[tuple[Any, Any]], restore: Callable[[Array], Array], size: int) -> None:
-        self._sets = [tuple(cuda.device_array(s, d) for s, d in shapes_and_dtypes) for _ in range(2)]
+    def __init__(self, length: int, restore: Callable[[Array], Array], size: int) -> None:
+        self._buffers = [cuda.device_array(length, np.float64) for _ in range(2)]
         self._restore, self._size = restore, size
         self._holders: list[weakref.ref[Held] | None] = [None, None]
         self._next = 0
@@ -61,18 +51,14 @@ class Turn:
         holder = self._holders[i]
         if holder is not None and (held := holder()) is not None:
             held.release()
-        held = Held(self._sets[i], self._restore, self._size)
+        held = Held(self._buffers[i], self._restore, self._size)
         self._holders[i] = weakref.ref(held)
         self._next = 1 - i
         return held
 
-    def holds(self, held: Held) -> bool:
-        """Whether a vector is in one of these buffers still."""
-        return any(held.buffers is buffers for buffers in self._sets)
-
     def arrays(self) -> list[Any]:
         """Every buffer."""
-        return [array for buffers in self._sets for array in buffers]
+        return list(self._buffers)
 
 
 def upload(values: np.ndarray) -> Any:

@@ -3,7 +3,7 @@
 from numba import float32
 
 from .front_end import F0, F1, TILE, cuda, exact_formulas, kernel, source_stamp
-from .tiles import BOX_VARIANCE, MATRIX, SHARE
+from .tiles import BOX_VARIANCE, MATRIX, SHARE, extreme
 
 rotate_point, rotate_symmetric = exact_formulas.rotate_point, exact_formulas.rotate_symmetric
 
@@ -47,17 +47,9 @@ def _build(isotropic, stamp):
         corners[t, 3] = x
         corners[t, 4] = y
         corners[t, 5] = z
-        width = TILE // 2
-        while width > 0:
-            cuda.syncthreads()
-            if t < width:
-                for k in range(3):
-                    corners[t, k] = min(corners[t, k], corners[t + width, k])
-                    corners[t, k + 3] = max(corners[t, k + 3], corners[t + width, k + 3])
-            width //= 2
         cuda.syncthreads()
         if t < 6:
-            moved_boxes[tile, t] = corners[0, t]
+            moved_boxes[tile, t] = extreme(corners, t)
         elif t < 8:
             moved_boxes[tile, t] = source_boxes[tile, BOX_VARIANCE + t - 6]
 

@@ -1,27 +1,29 @@
 """Two mixtures on the GPU, and one pass over all their pairs: the twin of `kernels.pair_loop.PairLoop`.
 
-Points and matrices are uploaded once. A pass sends a pose and a few numbers, and gets TOTAL_SUMS or a few more back;
-what there is for every point stays on the device until it is read.
+Points and matrices are brought into tiles once. A pass sends a pose and a few numbers, and gets TOTAL_SUMS or a few
+more back; what there is for every point stays on the device until it is read.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import NDArray
 
 from ...arguments import Array
 from ...mixture import Mixture
 from ..compiling import LOG2_SCALE
 from ..layout import GRADIENT, HESSIAN, TOTAL_ENERGY, TOTAL_LIKELIHOOD, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
-from ..pair_loop import PairSums, PosteriorSums, Side, symmetric, total_of
-from . import adaptive_rows, convolved_columns, convolved_rows, moving, nearest, reductions
+from ..pair_loop import PairSums, PosteriorSums, symmetric, total_of
+from . import adaptive_rows, convolved_columns, convolved_rows, moving, nearest, reductions, scores
 from .front_end import TILE, cuda
 from .held import Held, Turn, upload
 from .reductions import COLUMN_LIKELIHOOD, COLUMN_MATCHED, COLUMN_SUMS
-from .tiles import boxes, point_tiles, tiled
+from .sides import make_side
+from .tiles import tiled
 
 # Blocks that fill a large GPU; few tiles on one side are made up for by cutting the other into up to MOST_SHARES.
 WANTED_BLOCKS = 2048
@@ -36,6 +38,8 @@ class _Kernels(NamedTuple):
     convolved_rows: Any
     convolved_columns: Any
     reduce_adaptive: Any
+    scores_of_source: Any
+    scores_of_target: Any
 
 
 ISOTROPIC = _Kernels(
@@ -44,6 +48,8 @@ ISOTROPIC = _Kernels(
     convolved_rows.convolved_rows_isotropic,
     convolved_columns.convolved_columns_isotropic,
     reductions.reduce_adaptive_isotropic,
+    scores.score_sums_of_source_isotropic,
+    scores.score_sums_of_target_isotropic,
 )
 ANISOTROPIC = _Kernels(
     moving.move_anisotropic,
@@ -51,6 +57,8 @@ ANISOTROPIC = _Kernels(
     convolved_rows.convolved_rows_anisotropic,
     convolved_columns.convolved_columns_anisotropic,
     reductions.reduce_adaptive_anisotropic,
+    scores.score_sums_of_source,
+    scores.score_sums_of_target,
 )
 
 
@@ -66,20 +74,37 @@ class CudaPairSums(PairSums):
 
 
 class CudaPosteriorSums(PosteriorSums):
-    """`PosteriorSums` whose row_weights are read from the device when they are asked for."""
+    """`PosteriorSums` whose row_weights are read from the device, and what the target has to say is worked out there,
+    when they are asked for."""
 
-    def __init__(self, total: Array, columns: Array, rows: Held) -> None:
+    def __init__(self, total: Array, rows: Held, find_columns: Callable[[], tuple[Held, Array]]) -> None:
         self.__dict__.update(
             _of_total(total),
-            _rows=rows,
-            log_likelihood=float(total[TOTAL_LIKELIHOOD] + columns[COLUMN_LIKELIHOOD]),
             overlap=float(total[TOTAL_MATCHED]),
-            target_overlap=float(columns[COLUMN_MATCHED]),
+            _rows=rows,
+            _find_columns=find_columns,
+            _likelihood=float(total[TOTAL_LIKELIHOOD]),
         )
 
     @cached_property
     def row_weights(self) -> Array:  # type: ignore[override]
         return self.__dict__["_rows"].read()
+
+    @cached_property
+    def _columns(self) -> tuple[Held, Array]:
+        return self.__dict__["_find_columns"]()
+
+    @property
+    def column_densities(self) -> Array:  # type: ignore[override]
+        return self._columns[0].read()
+
+    @property
+    def log_likelihood(self) -> float:  # type: ignore[override]
+        return self.__dict__["_likelihood"] + float(self._columns[1][COLUMN_LIKELIHOOD])
+
+    @property
+    def target_overlap(self) -> float:  # type: ignore[override]
+        return float(self._columns[1][COLUMN_MATCHED])
 
 
 def _of_total(total: Array) -> dict[str, Any]:
@@ -100,11 +125,10 @@ class CudaPairLoop:
         isotropic = source.isotropic and target.isotropic
         self._kernels = ISOTROPIC if isotropic else ANISOTROPIC
         self._flat = source.dimension == 2
-        self._source, self._target = Side(source, isotropic), Side(target, isotropic)
-        self._source_boxes, self._target_boxes = (
-            upload(boxes(side.points, side.variances, side.bits)) for side in (self._source, self._target)
-        )
-        self._source_tiles, self._target_tiles = len(self._source_boxes), len(self._target_boxes)
+        self._unit = LOG2_SCALE ** (1.0 if self._flat else 1.5)  # |Σ|^(-1/2) in powers of two
+        self._source, self._target = make_side(source, isotropic), make_side(target, isotropic)
+        self._source_boxes, self._target_boxes = self._source.boxes, self._target.boxes
+        self._source_tiles, self._target_tiles = self._source_boxes.shape[0], self._target_boxes.shape[0]
         self._row_shares = _shares(self._source_tiles, self._target_tiles)
         self._column_shares = _shares(self._target_tiles, self._source_tiles)
         m, n = self._source_tiles * TILE, self._target_tiles * TILE
@@ -115,10 +139,9 @@ class CudaPairLoop:
         self._row_partials = cuda.device_array((TOTAL_SUMS, self._source_tiles), np.float64)
         self._column_partials = cuda.device_array((COLUMN_SUMS, self._target_tiles), np.float64)
         self._totals = cuda.device_array(TOTAL_SUMS + COLUMN_SUMS, np.float64)
-        self._row_turn = Turn([(m, np.float64)], self._source.restore, len(source))
-        self._column_turn = Turn(
-            [(n, np.float64), ((self._target_tiles, TILE), np.float32)], self._target.restore, len(target)
-        )
+        self._densities32 = cuda.device_array((self._target_tiles, TILE), np.float32)
+        self._row_turn = Turn(m, self._source.restore, len(source))
+        self._column_turn = Turn(n, self._target.restore, len(target))
 
     def sums(self, pose: Array, source_sigma: float, target_sigma: float) -> CudaPairSums:
         """As `PairLoop.sums`."""
@@ -127,48 +150,56 @@ class CudaPairLoop:
         self.launch_adaptive_rows(source_sigma, target_sigma)
         weights = self._row_turn.take()
         self._kernels.reduce_adaptive[self._source_tiles, TILE](
-            self._moved, self._rows, amplitudes, weights.buffers[0], self._row_partials
+            self._moved, self._rows, amplitudes, weights.buffer, self._row_partials
         )
         return CudaPairSums(self._add_up(TOTAL_SUMS)[:TOTAL_SUMS], weights)
 
-    def posterior_sums(
-        self,
-        pose: Array,
-        sigma: float,
-        uniform: float,
-        column_densities: ArrayLike | Held | None = None,
-        mutuality: float = 0.0,
-    ) -> tuple[CudaPosteriorSums, Held]:
-        """As `PairLoop.posterior_sums`; the column densities are on the device, and `numpy.asarray` reads them."""
-        source, _, source_weights, target_weights = self._covariances
-        unit = LOG2_SCALE ** (1.0 if self._flat else 1.5)  # |Σ|^(-1/2) in powers of two
+    def posterior_sums(self, pose: Array, sigma: float, uniform: float, mutuality: float = 0.0) -> CudaPosteriorSums:
+        """As `PairLoop.posterior_sums`.
+
+        The target's densities take a pass over all pairs of their own, before that for the source where mutuality needs
+        them, else when somebody asks.
+        """
+        source, _, source_weights, _ = self._covariances
         self._move(pose, np.float32(sigma), self._flat, source)
-        self.launch_convolved_columns(sigma)
-        columns = self._column_turn.take()
-        densities, densities32 = columns.buffers
-        reductions.reduce_columns[self._target_tiles, TILE](
-            self._column_parts,
-            unit,
-            target_weights,
-            float(uniform),
-            densities,
-            densities32,
-            self._column_partials,
-        )
-        old_densities32 = self._old_columns(column_densities, densities32, mutuality)
-        self.launch_convolved_rows(sigma, uniform, mutuality, old_densities32)
+        columns = self._reduced_columns(sigma, uniform) if mutuality > 0.0 else None
+        self.launch_convolved_rows(sigma, uniform, mutuality)
         posteriors = self._row_turn.take()
         reductions.reduce_convolved[self._source_tiles, TILE](
             self._moved,
             self._rows,
             source_weights,
-            float(uniform * unit),
+            float(uniform * self._unit),
             float(mutuality),
-            posteriors.buffers[0],
+            posteriors.buffer,
             self._row_partials,
         )
-        totals = self._add_up(TOTAL_SUMS + COLUMN_SUMS)
-        return CudaPosteriorSums(totals[:TOTAL_SUMS], totals[TOTAL_SUMS:], posteriors), columns
+        totals = self._add_up(TOTAL_SUMS if columns is None else TOTAL_SUMS + COLUMN_SUMS)
+
+        def find_columns() -> tuple[Held, Array]:
+            if columns is not None:
+                return columns, totals[TOTAL_SUMS:]
+            self._move(pose, np.float32(sigma), self._flat, source)
+            found = self._reduced_columns(sigma, uniform)
+            reductions.total[COLUMN_SUMS, reductions.ADDERS](self._column_partials, self._column_partials, self._totals)
+            return found, self._totals.copy_to_host()[:COLUMN_SUMS]
+
+        return CudaPosteriorSums(totals[:TOTAL_SUMS], posteriors, find_columns)
+
+    def _reduced_columns(self, sigma: float, uniform: float) -> Held:
+        """The column densities, with the source where it was last moved to, and their sums tile by tile."""
+        self.launch_convolved_columns(sigma)
+        columns = self._column_turn.take()
+        reductions.reduce_columns[self._target_tiles, TILE](
+            self._column_parts,
+            self._unit,
+            self._covariances[3],
+            float(uniform),
+            columns.buffer,
+            self._densities32,
+            self._column_partials,
+        )
+        return columns
 
     def nearest_sq(self, pose: Array) -> Array:
         """As `PairLoop.nearest_sq`."""
@@ -180,6 +211,42 @@ class CudaPairLoop:
         reductions.reduce_nearest[self._source_tiles, TILE](self._nearest_parts, self._nearest)
         distances = self._nearest.copy_to_host()[: len(self._source.order)]
         return self._source.restore(distances.astype(np.float64))
+
+    def score_sums(
+        self,
+        pose: Array,
+        sigma: float,
+        own: NDArray[np.float32],
+        own_is_source: bool,
+        weights: Array,
+        shares: Array,
+        cut: float,
+    ) -> Array:
+        """(K, POINT_SUMS) as `kernels.score_sums`, but for the weights of the points themselves.
+
+        own : (POINT, K) points of the source at `pose`, or of the target, see `scores`.   weights, shares : (n,) of all
+        points of the other side, see there.
+        """
+        source, target, _, _ = self._covariances
+        if own_is_source:
+            kernel, other, side = self._kernels.scores_of_source, target, self._target
+            other_boxes, scale = self._target_boxes, sigma * LOG2_SCALE
+        else:
+            self._move(pose, np.float32(sigma), False, source)
+            kernel, other, side = self._kernels.scores_of_target, self._moved, self._source
+            other_boxes, scale = self._moved_boxes, LOG2_SCALE
+        sums = cuda.device_array((scores.SUMS if own_is_source else scores.CURVATURE, own.shape[1]), np.float64)
+        kernel[own.shape[1], TILE](
+            upload(own),
+            other,
+            other_boxes,
+            np.float32(scale),
+            np.float32(sigma * LOG2_SCALE),
+            *(upload(tiled(values[side.order].astype(np.float32), 0.0)) for values in (weights, shares)),
+            np.float32(cut),
+            sums,
+        )
+        return scores.unfolded(sums.copy_to_host())
 
     def launch_adaptive_rows(self, source_sigma: float, target_sigma: float) -> None:
         """The pairs of `sums` with the source where the last pass has moved it."""
@@ -194,7 +261,7 @@ class CudaPairLoop:
             self._rows,
         )
 
-    def launch_convolved_rows(self, sigma: float, uniform: float, mutuality: float, densities32: Any) -> None:
+    def launch_convolved_rows(self, sigma: float, uniform: float, mutuality: float) -> None:
         """The pairs of `posterior_sums`, seen from the source, with the source where the last pass has moved it."""
         self._kernels.convolved_rows[(self._source_tiles, self._row_shares), TILE](
             self._moved,
@@ -203,7 +270,7 @@ class CudaPairLoop:
             self._target_boxes,
             np.float32(sigma),
             self._flat,
-            densities32,
+            self._densities32,
             np.float32(uniform),
             np.float32(mutuality),
             self._rows,
@@ -224,29 +291,20 @@ class CudaPairLoop:
     def work_arrays(self) -> list[Any]:
         """Every array on the device that a pass fills before it reads it; a check may spoil them beforehand."""
         arrays = [self._moved, self._moved_boxes, self._rows, self._column_parts, self._row_partials]
-        arrays += [self._column_partials, self._totals, self._nearest_parts, self._nearest]
+        arrays += [self._column_partials, self._densities32, self._totals, self._nearest_parts, self._nearest]
         return arrays + self._row_turn.arrays() + self._column_turn.arrays()
 
     @cached_property
     def _precisions(self) -> tuple[Any, Any, Any]:
         """Tiles of source and target with their precisions, and the source's amplitudes."""
         source, target = self._source, self._target
-        return (
-            upload(point_tiles(source.points, source.amplitudes, source.precisions())),
-            upload(point_tiles(target.points, target.amplitudes, target.precisions())),
-            upload(tiled(source.amplitudes.astype(np.float64), 0.0)),
-        )
+        return source.precision_tiles(), target.precision_tiles(), source.amplitude_tiles()
 
     @cached_property
     def _covariances(self) -> tuple[Any, Any, Any, Any]:
         """Tiles of source and target with their covariances, and the weights of either."""
         source, target = self._source, self._target
-        return (
-            upload(point_tiles(source.points, source.weights32, source.covariances())),
-            upload(point_tiles(target.points, target.weights32, target.covariances())),
-            upload(tiled(source.weights, 0.0)),
-            upload(tiled(target.weights, 0.0)),
-        )
+        return source.covariance_tiles(), target.covariance_tiles(), source.weight_tiles(), target.weight_tiles()
 
     @cached_property
     def _nearest_parts(self) -> Any:
@@ -261,15 +319,6 @@ class CudaPairLoop:
         self._kernels.move[self._source_tiles, TILE](
             rows, scale, flat, source, self._source_boxes, self._moved, self._moved_boxes
         )
-
-    def _old_columns(self, densities: ArrayLike | Held | None, unused: Any, mutuality: float) -> Any:
-        """(target tiles, TILE) float32 column densities on the device; any such array where they have no part."""
-        if mutuality == 0.0:
-            return unused
-        if isinstance(densities, Held) and self._column_turn.holds(densities):
-            return densities.buffers[1]
-        assert densities is not None
-        return upload(tiled(np.asarray(densities)[self._target.order].astype(np.float32), 0.0))
 
     def _add_up(self, sums: int) -> Array:
         reductions.total[sums, reductions.ADDERS](self._row_partials, self._column_partials, self._totals)

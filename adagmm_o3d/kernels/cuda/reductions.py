@@ -20,6 +20,8 @@ from ..layout import (
     TURN,
     WEIGHT,
 )
+from .adaptive_rows import NOTHING as NO_ADAPTIVE
+from .convolved_rows import NOTHING as NO_CONVOLVED
 from .convolved_rows import ROW_DENSITY
 from .front_end import F0, TILE, cuda, exact, exact_formulas, kernel, source_stamp
 from .tiles import MATRIX
@@ -36,12 +38,49 @@ PADDED = TILE + 1
 
 
 @exact
-def summed(rows, i, m):
-    """Sum i of point m over all shares."""
-    total = 0.0
+def summed_adaptive(rows, m):
+    """The sums of point m over all shares, side by side, so that the loads do not wait for each other."""
+    s = NO_ADAPTIVE
     for share in range(rows.shape[0]):
-        total += rows[share, i, m]
-    return total
+        s = (
+            s[0] + rows[share, 0, m],
+            s[1] + rows[share, 1, m],
+            s[2] + rows[share, 2, m],
+            s[3] + rows[share, 3, m],
+            s[4] + rows[share, 4, m],
+            s[5] + rows[share, 5, m],
+            s[6] + rows[share, 6, m],
+            s[7] + rows[share, 7, m],
+            s[8] + rows[share, 8, m],
+            s[9] + rows[share, 9, m],
+            s[10] + rows[share, 10, m],
+            s[11] + rows[share, 11, m],
+            s[12] + rows[share, 12, m],
+            s[13] + rows[share, 13, m],
+        )
+    return s
+
+
+@exact
+def summed_convolved(rows, m):
+    """The same for the sums of `convolved_rows`."""
+    s = NO_CONVOLVED
+    for share in range(rows.shape[0]):
+        s = (
+            s[0] + rows[share, 0, m],
+            s[1] + rows[share, 1, m],
+            s[2] + rows[share, 2, m],
+            s[3] + rows[share, 3, m],
+            s[4] + rows[share, 4, m],
+            s[5] + rows[share, 5, m],
+            s[6] + rows[share, 6, m],
+            s[7] + rows[share, 7, m],
+            s[8] + rows[share, 8, m],
+            s[9] + rows[share, 9, m],
+            s[10] + rows[share, 10, m],
+            s[11] + rows[share, 11, m],
+        )
+    return s
 
 
 @exact
@@ -77,10 +116,8 @@ def store_normal_equations(sums, t, terms):
 
 
 @exact
-def reduce_tile(sums, count, tile, partials):
-    """Add up the `count` sums of the threads of a block, each in the order of the points."""
-    t = cuda.threadIdx.x
-    cuda.syncthreads()
+def reduce_tile(sums, count, t, tile, partials):
+    """Thread t's part in adding up the `count` sums of a block's threads, each in the order of the points."""
     for i in range(t, count, TILE):
         total = 0.0
         for k in range(TILE):
@@ -102,7 +139,8 @@ def _build_adaptive(isotropic, stamp):
         t = cuda.threadIdx.x
         m = tile * TILE + t
         amplitude = amplitudes[tile, t]
-        w = amplitude * summed(rows, WEIGHT, m)
+        s = summed_adaptive(rows, m)
+        w = amplitude * s[WEIGHT]
         b0 = moved[tile, MATRIX, t]
         if isotropic:
             b1 = b2 = b4 = F0
@@ -114,26 +152,27 @@ def _build_adaptive(isotropic, stamp):
             moved[tile, 0, t],
             moved[tile, 1, t],
             moved[tile, 2, t],
-            amplitude * summed(rows, PRECISION, m) + w * b0,
-            amplitude * summed(rows, PRECISION + 1, m) + w * b1,
-            amplitude * summed(rows, PRECISION + 2, m) + w * b2,
-            amplitude * summed(rows, PRECISION + 3, m) + w * b3,
-            amplitude * summed(rows, PRECISION + 4, m) + w * b4,
-            amplitude * summed(rows, PRECISION + 5, m) + w * b5,
-            amplitude * summed(rows, PULL, m),
-            amplitude * summed(rows, PULL + 1, m),
-            amplitude * summed(rows, PULL + 2, m),
-            amplitude * summed(rows, TURN, m),
-            amplitude * summed(rows, TURN + 1, m),
-            amplitude * summed(rows, TURN + 2, m),
+            amplitude * s[PRECISION] + w * b0,
+            amplitude * s[PRECISION + 1] + w * b1,
+            amplitude * s[PRECISION + 2] + w * b2,
+            amplitude * s[PRECISION + 3] + w * b3,
+            amplitude * s[PRECISION + 4] + w * b4,
+            amplitude * s[PRECISION + 5] + w * b5,
+            amplitude * s[PULL],
+            amplitude * s[PULL + 1],
+            amplitude * s[PULL + 2],
+            amplitude * s[TURN],
+            amplitude * s[TURN + 1],
+            amplitude * s[TURN + 2],
         )
         store_normal_equations(sums, t, terms)
         sums[TOTAL_WEIGHT, t] = w
-        sums[TOTAL_ENERGY, t] = amplitude * summed(rows, ENERGY, m)
+        sums[TOTAL_ENERGY, t] = amplitude * s[ENERGY]
         sums[TOTAL_LIKELIHOOD, t] = 0.0
         sums[TOTAL_MATCHED, t] = 0.0
         row_weights[m] = w
-        reduce_tile(sums, TOTAL_SUMS, tile, partials)
+        cuda.syncthreads()
+        reduce_tile(sums, TOTAL_SUMS, t, tile, partials)
 
     return reduce_adaptive
 
@@ -152,33 +191,35 @@ def _build_convolved(stamp):
         t = cuda.threadIdx.x
         m = tile * TILE + t
         weight = weights[tile, t]
-        density = summed(rows, ROW_DENSITY, m)
+        s = summed_convolved(rows, m)
+        density = s[ROW_DENSITY]
         posterior = 1.0 / (density + uniform)
         scale = weight * posterior ** (1.0 - mutuality) * uniform**-mutuality
         terms = normal_equations(
             moved[tile, 0, t],
             moved[tile, 1, t],
             moved[tile, 2, t],
-            scale * summed(rows, PRECISION, m),
-            scale * summed(rows, PRECISION + 1, m),
-            scale * summed(rows, PRECISION + 2, m),
-            scale * summed(rows, PRECISION + 3, m),
-            scale * summed(rows, PRECISION + 4, m),
-            scale * summed(rows, PRECISION + 5, m),
-            scale * summed(rows, PULL, m),
-            scale * summed(rows, PULL + 1, m),
-            scale * summed(rows, PULL + 2, m),
+            scale * s[PRECISION],
+            scale * s[PRECISION + 1],
+            scale * s[PRECISION + 2],
+            scale * s[PRECISION + 3],
+            scale * s[PRECISION + 4],
+            scale * s[PRECISION + 5],
+            scale * s[PULL],
+            scale * s[PULL + 1],
+            scale * s[PULL + 2],
             0.0,
             0.0,
             0.0,
         )
         store_normal_equations(sums, t, terms)
-        sums[TOTAL_WEIGHT, t] = scale * summed(rows, WEIGHT, m)
-        sums[TOTAL_ENERGY, t] = scale * summed(rows, ENERGY, m)
+        sums[TOTAL_WEIGHT, t] = scale * s[WEIGHT]
+        sums[TOTAL_ENERGY, t] = scale * s[ENERGY]
         sums[TOTAL_LIKELIHOOD, t] = weight * math.log1p(density / uniform)
         sums[TOTAL_MATCHED, t] = weight * density * posterior
         posteriors[m] = density * posterior
-        reduce_tile(sums, TOTAL_SUMS, tile, partials)
+        cuda.syncthreads()
+        reduce_tile(sums, TOTAL_SUMS, t, tile, partials)
 
     return reduce_convolved
 
@@ -205,7 +246,8 @@ def _build_columns(stamp):
         densities32[tile, t] = density
         sums[COLUMN_LIKELIHOOD, t] = weights[tile, t] * math.log1p(density / uniform)
         sums[COLUMN_MATCHED, t] = weights[tile, t] * density / (density + uniform)
-        reduce_tile(sums, COLUMN_SUMS, tile, partials)
+        cuda.syncthreads()
+        reduce_tile(sums, COLUMN_SUMS, t, tile, partials)
 
     return reduce_columns
 

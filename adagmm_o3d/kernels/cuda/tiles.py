@@ -38,6 +38,15 @@ def is_near(convolved, a, i, a_sigma, b, j, b_sigma):
     return gap_sq(a, i, b, j) < limit
 
 
+@exact
+def extreme(rows, t):
+    """Column t of the rows of a block's threads: the least of them in the first three columns, else the greatest."""
+    found = rows[0, t]
+    for k in range(1, TILE):
+        found = min(found, rows[k, t]) if t < 3 else max(found, rows[k, t])
+    return found
+
+
 def tiled(values: NDArray, filler: float | None = None) -> NDArray:
     """(k, n) or (n,) values → (tiles, k, TILE) or (tiles, TILE), filled up with `filler`, else with the last ones."""
     n = values.shape[-1]

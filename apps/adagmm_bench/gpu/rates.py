@@ -38,11 +38,8 @@ def pair_rates() -> list[Rate]:
         loop = CudaPairLoop(*(_mixture(rng, isotropic) for _ in range(2)))
         loop.sums(pose, SIGMA, SIGMA)
         seconds = {"adaptive": _median_seconds(lambda loop=loop: loop.launch_adaptive_rows(SIGMA, SIGMA))}
-        _, columns = loop.posterior_sums(pose, SIGMA, UNIFORM)
-        densities = columns.buffers[1]
-        seconds["convolved"] = _median_seconds(
-            lambda loop=loop, d=densities: loop.launch_convolved_rows(SIGMA, UNIFORM, MUTUALITY, d)
-        )
+        loop.posterior_sums(pose, SIGMA, UNIFORM, MUTUALITY)
+        seconds["convolved"] = _median_seconds(lambda loop=loop: loop.launch_convolved_rows(SIGMA, UNIFORM, MUTUALITY))
         seconds["columns"] = _median_seconds(lambda loop=loop: loop.launch_convolved_columns(SIGMA))
         rates += [Rate(f"{name}{suffix}", POINTS**2 / s) for name, s in seconds.items()]
     return rates

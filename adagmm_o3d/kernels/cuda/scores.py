@@ -1,0 +1,312 @@
+"""The scores of points on the GPU, as `kernels.score_sums` adds them up: what the pose covariance is made of.
+
+Pairs are evaluated and summed up in float32, a point's threads are put together in float64. Of the symmetric sums only
+the upper triangle is kept.
+"""
+
+import math
+
+import numpy as np
+from numba import float64, int32
+
+from .. import score_sums as layout
+from .front_end import F0, TILE, cuda, fast, fast_kernel, formulas, inverse_root, source_stamp
+from .reductions import PADDED, reduce_tile
+from .tiles import BOX_VARIANCE, MATRIX
+
+symmetric_product, dot, cross, adjugate = (
+    formulas.symmetric_product,
+    formulas.dot,
+    formulas.cross,
+    formulas.adjugate,
+)
+
+# Sums of a point: score (6), sensitivity (6), then for source points curvature (21) and squares (21), row by row.
+SENSITIVITY, CURVATURE, SQUARES, SUMS = 6, 12, 33, 54
+# What a point is made of: place, covariance, largest variance.
+POINT = 10
+# Where the entries of a symmetric 6x6 matrix are in its upper triangle.
+TRIANGLE = np.array(
+    [[6 * min(i, j) - min(i, j) * (min(i, j) + 1) // 2 + max(i, j) for j in range(6)] for i in range(6)]
+).ravel()
+HALF = np.float32(0.5)
+NONE, NOTHING = (F0,) * CURVATURE, (F0,) * SUMS
+
+
+def unfolded(sums):
+    """(SUMS or CURVATURE, K) sums → (K, POINT_SUMS) as `kernels.score_sums` lays them out, 0 where there are none."""
+    rows = np.zeros((sums.shape[1], layout.POINT_SUMS))
+    rows[:, : layout.CURVATURE] = sums[:CURVATURE].T
+    if len(sums) == SUMS:
+        rows[:, layout.CURVATURE : layout.SQUARES] = sums[CURVATURE + TRIANGLE].T
+        rows[:, layout.SQUARES :] = sums[SQUARES + TRIANGLE].T
+    return rows
+
+
+@fast
+def geometry(d0, d1, d2, s0, s1, s2, s3, s4, s5, cut):
+    """The precision of a pair with offset d and covariance S, S⁻¹ d, and its density, 0 beyond the cut."""
+    c0, c1, c2, c3, c4, c5 = adjugate(s0, s1, s2, s3, s4, s5)
+    root = inverse_root(dot(s0, s1, s2, c0, c1, c2))
+    inverse = root * root
+    c0, c1, c2, c3, c4, c5 = c0 * inverse, c1 * inverse, c2 * inverse, c3 * inverse, c4 * inverse, c5 * inverse
+    v0, v1, v2 = symmetric_product(c0, c1, c2, c3, c4, c5, d0, d1, d2)
+    q = dot(d0, d1, d2, v0, v1, v2)
+    density = F0 if q > cut else root * math.exp(-HALF * q)
+    return c0, c1, c2, c3, c4, c5, v0, v1, v2, density
+
+
+@fast
+def turning(y0, y1, y2, b0, b1, b2, b3, b4, b5, c0, c1, c2, c3, c4, c5, v0, v1, v2):
+    """y x v, and that with what the turn of B adds: -∂(log density)/∂ω; and B v."""
+    p0, p1, p2 = symmetric_product(b0, b1, b2, b3, b4, b5, v0, v1, v2)
+    t0, t1, t2 = cross(p0, p1, p2, v0, v1, v2)
+    j0, j1, j2 = cross(y0, y1, y2, v0, v1, v2)
+    # B S⁻¹, column by column
+    _, f10, f20 = symmetric_product(b0, b1, b2, b3, b4, b5, c0, c1, c2)
+    f01, _, f21 = symmetric_product(b0, b1, b2, b3, b4, b5, c1, c3, c4)
+    f02, f12, _ = symmetric_product(b0, b1, b2, b3, b4, b5, c2, c4, c5)
+    return j0, j1, j2, j0 + f12 - f21 - t0, j1 + f20 - f02 - t1, j2 + f01 - f10 - t2, p0, p1, p2
+
+
+@fast
+def scored(y0, y1, y2, d0, d1, d2, a0, a1, a2, a3, a4, a5, b0, b1, b2, b3, b4, b5, cut, weight, share, s):
+    """The sums `s` of a point with a pair added: source point y with covariance B, offset d, target covariance A."""
+    c0, c1, c2, c3, c4, c5, v0, v1, v2, density = geometry(
+        d0, d1, d2, a0 + b0, a1 + b1, a2 + b2, a3 + b3, a4 + b4, a5 + b5, cut
+    )
+    j0, j1, j2, g0, g1, g2, _, _, _ = turning(y0, y1, y2, b0, b1, b2, b3, b4, b5, c0, c1, c2, c3, c4, c5, v0, v1, v2)
+    w, e = weight * density, share * density
+    return (
+        s[0] + w * j0,
+        s[1] + w * j1,
+        s[2] + w * j2,
+        s[3] + w * v0,
+        s[4] + w * v1,
+        s[5] + w * v2,
+        s[6] + e * g0,
+        s[7] + e * g1,
+        s[8] + e * g2,
+        s[9] + e * v0,
+        s[10] + e * v1,
+        s[11] + e * v2,
+    )
+
+
+@fast
+def curved(y0, y1, y2, d0, d1, d2, a0, a1, a2, a3, a4, a5, b0, b1, b2, b3, b4, b5, cut, weight, share, s):
+    """The same with curvature and squares."""
+    c0, c1, c2, c3, c4, c5, v0, v1, v2, density = geometry(
+        d0, d1, d2, a0 + b0, a1 + b1, a2 + b2, a3 + b3, a4 + b4, a5 + b5, cut
+    )
+    j0, j1, j2, g0, g1, g2, p0, p1, p2 = turning(y0, y1, y2, b0, b1, b2, b3, b4, b5, c0, c1, c2, c3, c4, c5, v0, v1, v2)
+    w, e = weight * density, share * density
+    # S ∂(S⁻¹ d)/∂ω is -[y - B v]ₓ - B [v]ₓ; h is S⁻¹ times that, column by column, and r what it does to y x v.
+    x0, x1, x2 = p0 - y0, p1 - y1, p2 - y2
+    m0, m1, m2 = symmetric_product(b0, b1, b2, b3, b4, b5, F0, v2, -v1)
+    h00, h10, h20 = symmetric_product(c0, c1, c2, c3, c4, c5, -m0, x2 - m1, -x1 - m2)
+    m0, m1, m2 = symmetric_product(b0, b1, b2, b3, b4, b5, -v2, F0, v0)
+    h01, h11, h21 = symmetric_product(c0, c1, c2, c3, c4, c5, -x2 - m0, -m1, x0 - m2)
+    m0, m1, m2 = symmetric_product(b0, b1, b2, b3, b4, b5, v1, -v0, F0)
+    h02, h12, h22 = symmetric_product(c0, c1, c2, c3, c4, c5, x1 - m0, -x0 - m1, -m2)
+    # the lever arm turns too: (ω x y) x v = y (ω·v) - ω (y·v)
+    along = dot(y0, y1, y2, v0, v1, v2)
+    r00, r10, r20 = cross(y0, y1, y2, h00, h10, h20)
+    r01, r11, r21 = cross(y0, y1, y2, h01, h11, h21)
+    r02, r12, r22 = cross(y0, y1, y2, h02, h12, h22)
+    # [y]ₓ S⁻¹, column by column
+    k00, k10, k20 = cross(y0, y1, y2, c0, c1, c2)
+    k01, k11, k21 = cross(y0, y1, y2, c1, c3, c4)
+    k02, k12, k22 = cross(y0, y1, y2, c2, c4, c5)
+    u, w2 = HALF * w, w * w
+    return (
+        s[0] + w * j0,
+        s[1] + w * j1,
+        s[2] + w * j2,
+        s[3] + w * v0,
+        s[4] + w * v1,
+        s[5] + w * v2,
+        s[6] + e * g0,
+        s[7] + e * g1,
+        s[8] + e * g2,
+        s[9] + e * v0,
+        s[10] + e * v1,
+        s[11] + e * v2,
+        s[12] + w * (r00 + y0 * v0 - j0 * g0 - along),
+        s[13] + u * (r01 + y0 * v1 - j0 * g1 + r10 + y1 * v0 - j1 * g0),
+        s[14] + u * (r02 + y0 * v2 - j0 * g2 + r20 + y2 * v0 - j2 * g0),
+        s[15] + u * (k00 - j0 * v0 + h00 - v0 * g0),
+        s[16] + u * (k01 - j0 * v1 + h10 - v1 * g0),
+        s[17] + u * (k02 - j0 * v2 + h20 - v2 * g0),
+        s[18] + w * (r11 + y1 * v1 - j1 * g1 - along),
+        s[19] + u * (r12 + y1 * v2 - j1 * g2 + r21 + y2 * v1 - j2 * g1),
+        s[20] + u * (k10 - j1 * v0 + h01 - v0 * g1),
+        s[21] + u * (k11 - j1 * v1 + h11 - v1 * g1),
+        s[22] + u * (k12 - j1 * v2 + h21 - v2 * g1),
+        s[23] + w * (r22 + y2 * v2 - j2 * g2 - along),
+        s[24] + u * (k20 - j2 * v0 + h02 - v0 * g2),
+        s[25] + u * (k21 - j2 * v1 + h12 - v1 * g2),
+        s[26] + u * (k22 - j2 * v2 + h22 - v2 * g2),
+        s[27] + w * (c0 - v0 * v0),
+        s[28] + w * (c1 - v0 * v1),
+        s[29] + w * (c2 - v0 * v2),
+        s[30] + w * (c3 - v1 * v1),
+        s[31] + w * (c4 - v1 * v2),
+        s[32] + w * (c5 - v2 * v2),
+        s[33] + w2 * j0 * j0,
+        s[34] + w2 * j0 * j1,
+        s[35] + w2 * j0 * j2,
+        s[36] + w2 * j0 * v0,
+        s[37] + w2 * j0 * v1,
+        s[38] + w2 * j0 * v2,
+        s[39] + w2 * j1 * j1,
+        s[40] + w2 * j1 * j2,
+        s[41] + w2 * j1 * v0,
+        s[42] + w2 * j1 * v1,
+        s[43] + w2 * j1 * v2,
+        s[44] + w2 * j2 * j2,
+        s[45] + w2 * j2 * v0,
+        s[46] + w2 * j2 * v1,
+        s[47] + w2 * j2 * v2,
+        s[48] + w2 * v0 * v0,
+        s[49] + w2 * v0 * v1,
+        s[50] + w2 * v0 * v2,
+        s[51] + w2 * v1 * v1,
+        s[52] + w2 * v1 * v2,
+        s[53] + w2 * v2 * v2,
+    )
+
+
+@fast
+def is_in_reach(own, k, boxes, tile, spread, cut):
+    """Whether a pair of point k with the points of a box can lie within the cut, their variances times `spread`."""
+    gap = F0
+    for i in range(3):
+        d = max(max(boxes[tile, i] - own[i, k], own[i, k] - boxes[tile, i + 3]), F0)
+        gap += d * d
+    return gap <= cut * (own[POINT - 1, k] + spread * boxes[tile, BOX_VARIANCE])
+
+
+def _build(of_source, isotropic, stamp):
+    """The kernel for points of the source, with all sums, or of the target, with the first CURVATURE of them.
+
+    isotropic : of the matrices in the tiles.
+    """
+    count_of_sums = SUMS if of_source else CURVATURE
+
+    @fast_kernel
+    def score_sums(own, other, boxes, scale, spread, weights, shares, cut, sums):
+        """One block for each point k, whose threads take one point of a tile each, tile by tile.
+
+        own : (POINT, K) float32.   other : (tiles, 4 + 1 or 6, TILE) the tiles of the other cloud, their matrices times
+        `scale` its covariances; boxes : theirs, their variances times `spread`.   weights, shares : (tiles, TILE)
+        float32 of the other's points.   sums : (count_of_sums, K) float64, overwritten.
+        """
+        _ = stamp
+        near = cuda.shared.array(TILE, int32)
+        block = cuda.shared.array((count_of_sums, PADDED), float64)
+        t = cuda.threadIdx.x
+        k = cuda.blockIdx.x
+        p0, p1, p2 = own[0, k], own[1, k], own[2, k]
+        q0, q1, q2, q3, q4, q5 = own[3, k], own[4, k], own[5, k], own[6, k], own[7, k], own[8, k]
+        count = other.shape[0]
+        s = NOTHING if of_source else NONE
+        for first in range(0, count, TILE):
+            # Every thread tests one tile, then all threads take those in reach, one after another.
+            tile = first + t
+            found = 0
+            if tile < count and is_in_reach(own, k, boxes, tile, spread, cut):
+                found = 1
+            near[t] = found
+            if cuda.syncthreads_or(found) == 0:
+                continue
+            for i in range(TILE):
+                if near[i] == 0:
+                    continue
+                tile = first + i
+                x0, x1, x2 = other[tile, 0, t], other[tile, 1, t], other[tile, 2, t]
+                m0 = other[tile, MATRIX, t] * scale
+                if isotropic:
+                    m1 = m2 = m4 = F0
+                    m3 = m5 = m0
+                else:
+                    m1, m2 = other[tile, MATRIX + 1, t] * scale, other[tile, MATRIX + 2, t] * scale
+                    m3, m4 = other[tile, MATRIX + 3, t] * scale, other[tile, MATRIX + 4, t] * scale
+                    m5 = other[tile, MATRIX + 5, t] * scale
+                weight, share = weights[tile, t], shares[tile, t]
+                if of_source:
+                    s = curved(
+                        p0, p1, p2, p0 - x0, p1 - x1, p2 - x2, m0, m1, m2, m3, m4, m5, q0, q1, q2, q3, q4, q5,
+                        cut, weight, share, s,
+                    )  # fmt: skip
+                else:
+                    s = scored(
+                        x0, x1, x2, x0 - p0, x1 - p1, x2 - p2, q0, q1, q2, q3, q4, q5, m0, m1, m2, m3, m4, m5,
+                        cut, weight, share, s,
+                    )  # fmt: skip
+            cuda.syncthreads()
+        block[0, t] = s[0]
+        block[1, t] = s[1]
+        block[2, t] = s[2]
+        block[3, t] = s[3]
+        block[4, t] = s[4]
+        block[5, t] = s[5]
+        block[6, t] = s[6]
+        block[7, t] = s[7]
+        block[8, t] = s[8]
+        block[9, t] = s[9]
+        block[10, t] = s[10]
+        block[11, t] = s[11]
+        if of_source:
+            block[12, t] = s[12]
+            block[13, t] = s[13]
+            block[14, t] = s[14]
+            block[15, t] = s[15]
+            block[16, t] = s[16]
+            block[17, t] = s[17]
+            block[18, t] = s[18]
+            block[19, t] = s[19]
+            block[20, t] = s[20]
+            block[21, t] = s[21]
+            block[22, t] = s[22]
+            block[23, t] = s[23]
+            block[24, t] = s[24]
+            block[25, t] = s[25]
+            block[26, t] = s[26]
+            block[27, t] = s[27]
+            block[28, t] = s[28]
+            block[29, t] = s[29]
+            block[30, t] = s[30]
+            block[31, t] = s[31]
+            block[32, t] = s[32]
+            block[33, t] = s[33]
+            block[34, t] = s[34]
+            block[35, t] = s[35]
+            block[36, t] = s[36]
+            block[37, t] = s[37]
+            block[38, t] = s[38]
+            block[39, t] = s[39]
+            block[40, t] = s[40]
+            block[41, t] = s[41]
+            block[42, t] = s[42]
+            block[43, t] = s[43]
+            block[44, t] = s[44]
+            block[45, t] = s[45]
+            block[46, t] = s[46]
+            block[47, t] = s[47]
+            block[48, t] = s[48]
+            block[49, t] = s[49]
+            block[50, t] = s[50]
+            block[51, t] = s[51]
+            block[52, t] = s[52]
+            block[53, t] = s[53]
+        cuda.syncthreads()
+        reduce_tile(block, count_of_sums, t, k, sums)
+
+    return score_sums
+
+
+score_sums_of_source = _build(True, False, source_stamp())
+score_sums_of_source_isotropic = _build(True, True, source_stamp())
+score_sums_of_target = _build(False, False, source_stamp())
+score_sums_of_target_isotropic = _build(False, True, source_stamp())

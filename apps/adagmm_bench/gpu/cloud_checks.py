@@ -1,0 +1,67 @@
+"""Clouds that lie on the card against the host's float64: mixtures, tiles, covariances of the surface, scores."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import open3d as o3d
+
+from adagmm_o3d import estimate_surface_covariances
+from adagmm_o3d.kernels.pair_loop import PairLoop
+from adagmm_o3d.mixture import Mixture, make_mixture, normalise
+from adagmm_o3d.pose_covariance import SCORED_PAIRS, Fit, score_moments
+
+# The mixtures are float64, but for the digits that thin covariances lose. Neighbours at nearly the same distance may
+# change places. The scores are sums of float32.
+EXACT, CLOSE, SUMMED = 1e-9, 1e-7, 1e-4
+SIGMA, UNMATCHED, VOLUME, MUTUALITY = 0.02, 0.2, 30.0, 0.5
+
+
+def cloud_errors(source: Mixture, target: Mixture, pose: np.ndarray) -> Iterator[tuple[str, float, float]]:
+    """What, its error relative to the largest entry, and the tolerance."""
+    from adagmm_o3d.kernels.cuda.cloud import device_mixture
+    from adagmm_o3d.kernels.cuda.front_end import cuda
+    from adagmm_o3d.kernels.cuda.pair_loop import CudaPairLoop
+
+    host, device = (source, target), []
+    for mixture in host:
+        device.append(device_mixture("cloud", cuda.to_device(mixture.points), cuda.to_device(mixture.covariances)))
+    moving, fixed, expected = normalise(source, target)
+    *device, normalisation = normalise(*device)
+    yield "scale", abs(normalisation.scale / expected.scale - 1.0), EXACT
+    yield "unit of variance", abs(normalisation.variance / expected.variance - 1.0), EXACT
+    for name, ours, theirs in zip(("source", "target"), device, (moving, fixed), strict=True):
+        everything = ours.take(np.arange(len(ours)))
+        yield f"{name} points", _relative(everything.points, theirs.points), EXACT
+        yield f"{name} covariances", _relative(everything.covariances, theirs.covariances), EXACT
+        yield f"{name} variances", _relative(ours.variances, theirs.variances), EXACT
+    fit = Fit(pose, SIGMA, UNMATCHED, VOLUME, MUTUALITY)
+    scores = score_moments(CudaPairLoop(*device), *device, fit)
+    theirs = score_moments(PairLoop(moving, fixed), moving, fixed, fit)
+    if len(source) * len(target) <= SCORED_PAIRS:  # else the two look at different points
+        for what in ("curvature", "by_points", "by_pairs"):
+            yield f"scores, {what}", _relative(getattr(scores, what), getattr(theirs, what)), SUMMED
+    yield "probabilities of a partner", _relative(scores.matched, theirs.matched), SUMMED
+    if len(target) > 3:
+        surface = device_mixture("cloud", cuda.to_device(target.points), None)
+        expected = make_mixture("cloud", target.points, estimate_surface_covariances(target.points))
+        yield "surface covariances", _relative(surface.covariances, expected.covariances), CLOSE
+
+
+def check_tensors(rng: np.random.Generator) -> Iterator[tuple[str, float]]:
+    """Whether Open3D's tensors are read where they lie; nothing where this Open3D knows no CUDA."""
+    if not o3d.core.cuda.is_available():
+        return
+    from adagmm_o3d.kernels.cuda.tensors import on_the_device
+
+    for dtype in (np.float32, np.float64):
+        values = rng.normal(size=(1000, 3)).astype(dtype)
+        tensor = o3d.core.Tensor(values, device=o3d.core.Device("CUDA:0"))
+        yield f"{values.dtype}", _relative(on_the_device(tensor).copy_to_host(), values)
+        yield f"{values.dtype} with gaps", _relative(on_the_device(tensor[::2, :2]).copy_to_host(), values[::2, :2])
+
+
+def _relative(values: Any, expected: Any) -> float:
+    return float(np.abs(values - expected).max() / np.abs(expected).max())

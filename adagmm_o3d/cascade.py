@@ -13,7 +13,6 @@ from functools import cached_property
 
 import numpy as np
 
-from .arguments import Array
 from .coarse import MergedMixture, count_certain, merge, sample
 from .em import Criteria, Outcome, expectation_maximisation
 from .expectation import FASTEST, LEAST_UNMATCHED, SIGMA_FLOOR, PosteriorExpectation

@@ -71,8 +71,8 @@ class MergedMixture:
 
     @cached_property
     def _ordered(self) -> tuple[Any, ...]:
-        """The components' order in space; in it, points (3, n), packed covariances and spreads (6, n), largest variances
-        and bounds on those of the spreads (1, n), bits (n,); in powers of two."""
+        """The components' order in space; in it, points (3, n), packed covariances and spreads (6, n), largest
+        variances and bounds on those of the spreads (1, n), bits (n,); in powers of two."""
         n = len(self.points)
         order = morton_order(self.points, last=np.zeros(n, np.bool_))
         reach = self.largest_variances[order], np.einsum("nii->n", self.spreads)[order]

@@ -69,8 +69,8 @@ class PointRegistrationResult:
     def pose_covariance(self) -> Array | None:
         """(6, 6), in 2D (3, 3), of δ = (ω, v) in exp(δ)·T [rad, input units]; see the module `pose_covariance`.
 
-        A free direction has a standard deviation of one radius. None for the paper's own rules and where no pair has any
-        weight. Its inverse is the information matrix of a pose graph's edge.
+        A free direction has a standard deviation of one radius. None for the paper's own rules and where no pair has
+        any weight. Its inverse is the information matrix of a pose graph's edge.
         """
         return self._uncertainty.covariance
 

@@ -14,6 +14,7 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from .compiling import FLAGS, source_stamp
 
@@ -29,7 +30,7 @@ LONGEST_STEP, LARGEST_CHANGE = 1.0, 0.5
 RIDGE = 1e-10
 
 
-def empty_memory():
+def empty_memory() -> NDArray[np.float64]:
     """Work space of `accelerated_step`: differences of residuals and of states, the last residual and step, a count."""
     return np.zeros((2 * MEMORY + 3, STATE))
 

@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from .compiling import F0, F1, FLAGS, formulas
 from .culling import CLUSTER, GROUP, RUN, TILE, cluster_box, largest, reach_group, reach_points
@@ -26,8 +27,8 @@ adjugate, symmetric_product = formulas.adjugate, formulas.symmetric_product
 
 # The rows of a packed target: coordinates, share of the mixture, factor of the weight, matrix at σ (1 or 6 rows).
 X, SHARE, FACTOR, MATRIX = 0, 3, 4, 5
-# Points are filled up to a multiple of this, the floats of the widest vector register, with points of no weight: no pair
-# is left over for scalar code. A tile is as long.
+# Points are filled up to a multiple of this, the floats of the widest vector register, with points of no weight: no
+# pair is left over for scalar code. A tile is as long.
 LANES = TILE
 # Rows a large power of two apart would all fall on the same few lines of the cache.
 SAME_LINES = 256
@@ -161,9 +162,9 @@ def column_convolved_isotropic(x0, x1, x2, a, share, planar, own, y0, y1, y2, b,
         columns[j] += own * (share[j] * precision * (F1 if planar else math.sqrt(precision)) * exp2_float32(-q))
 
 
-def pack(points, weights, matrix_rows):
-    """(5 + matrix_rows, padded n) float32 target for `convolved_pass`: coordinates and weights, factors of one, room for
-    the matrices at σ."""
+def pack(points: NDArray[np.float32], weights: NDArray[np.floating], matrix_rows: int) -> NDArray[np.float32]:
+    """(5 + matrix_rows, padded n) target for `convolved_pass`: coordinates and weights, factors of one, room for the
+    matrices at σ."""
     n = points.shape[1]
     padded = -(-n // LANES) * LANES
     padded += LANES if padded % SAME_LINES == 0 else 0
@@ -230,8 +231,9 @@ def convolved_pass(pose, source, target, tiles, kind, uniform, mutuality, cluste
     target : packed (6 or 11, padded N) float32, see `pack`; largest variances at σ, bits (N,).
     tiles : the target's, with variances at σ.   kind : (planar, isotropic, columns_only), the last for `column` alone.
     clusters : the first and past the last.
-    column : (padded N,) float32, to which the source's density at the target points is added.   total : (TOTAL_SUMS,), to
-    which the sums are added.   densities : (M,) receives the target's density at the source points.
+    column : (padded N,) float32, to which the source's density at the target points is added.
+    total : (TOTAL_SUMS,), to which the sums are added.
+    densities : (M,) receives the target's density at the source points.
     """
     points, matrices, weights, weights32, variances, bits = source
     packed, target_variances, target_bits = target

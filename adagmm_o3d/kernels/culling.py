@@ -90,7 +90,8 @@ def reach_group(g, box, tiles, beyond):
     if gap_sq(lo, hi, group_lo, group_hi, g) >= reach_sq(True, variance, bits, group_variance[g], group_bits[g]):
         return 0
     i, j = g * GROUP, min(tile_lo.shape[1], (g + 1) * GROUP)
-    a0, a1, a2, b0, b1, b2 = tile_lo[0, i:j], tile_lo[1, i:j], tile_lo[2, i:j], tile_hi[0, i:j], tile_hi[1, i:j], tile_hi[2, i:j]
+    a0, a1, a2 = tile_lo[0, i:j], tile_lo[1, i:j], tile_lo[2, i:j]
+    b0, b1, b2 = tile_hi[0, i:j], tile_hi[1, i:j], tile_hi[2, i:j]
     v, b = tile_variance[i:j], tile_bits[i:j]
     l0, l1, l2, h0, h1, h2 = lo[0], lo[1], lo[2], hi[0], hi[1], hi[2]
     hits = 0

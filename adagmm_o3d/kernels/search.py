@@ -119,7 +119,8 @@ def one_pass(pose, sigma, uniform, source, target, kind, work, total):
         (points, matrices, weights, weights32, own_reach[0], bits),
         (own_packed, own_target_reach[0], target_bits),
         (tile_lo, tile_hi, tile_reach[0], tile_bits, group_lo, group_hi, group_reach[0], group_bits),
-        (kind[0], kind[1], False), uniform, 0.0, (0, (points.shape[1] + CLUSTER - 1) // CLUSTER), column, total, densities,
+        (kind[0], kind[1], False), uniform, 0.0,
+        (0, (points.shape[1] + CLUSTER - 1) // CLUSTER), column, total, densities,
     )  # fmt: skip
     for j in range(n):
         share = packed[SHARE, j]

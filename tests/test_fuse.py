@@ -17,11 +17,11 @@ from adagmm_fusion.errors import OutputError, RecordingError
 from adagmm_fusion.frames import PinholeIntrinsics, RGBDFrame, inverse_rigid
 from adagmm_fusion.recording import open_recording
 from adagmm_fusion.sequence.edge_file import EdgeFile
-from adagmm_fusion.sequence.glb_file import glb_bytes
+from adagmm_fusion.meshes.glb_file import colored_glb
 from adagmm_fusion.sequence.pose_graph import Edge, best_connected, chained_poses, optimized_poses
 from adagmm_fusion.sequence.registration import loop_candidates, scene_of
 from adagmm_fusion.sequence.trajectory_errors import align_rigid, trajectory_errors
-from adagmm_fusion.sequence.tsdf import TSDFVolume, save_mesh
+from adagmm_fusion.meshes.tsdf import TSDFVolume, save_mesh
 from adagmm_o3d import lie
 from adagmm_o3d.errors import InputError
 
@@ -280,7 +280,7 @@ def test_a_glb_file_is_what_the_standard_says(tmp_path):
     normals = np.tile((0.0, 0.0, -1.0), (4, 1))
     colors = np.array([[1.0, 0.5, 0.0]] * 4)
     triangles = np.array([[0, 2, 1], [1, 2, 3]])
-    data = glb_bytes(vertices, normals, colors, triangles)
+    data = colored_glb(vertices, normals, colors, triangles)
     magic, version, length = struct.unpack("<4sII", data[:12])
     assert (magic, version, length) == (b"glTF", 2, len(data))
     json_length, kind = struct.unpack("<I4s", data[12:20])

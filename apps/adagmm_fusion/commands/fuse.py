@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     """
     from adagmm_fusion.commands.progress import progress_bar
     from adagmm_fusion.sequence.registration import scene_of
-    from adagmm_fusion.sequence.tsdf import TSDFVolume, save_mesh
+    from adagmm_fusion.meshes.tsdf import TSDFVolume, save_mesh
     from adagmm_fusion.settings import Settings
 
     recording = recording_of(args)

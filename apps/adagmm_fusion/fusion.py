@@ -1,4 +1,4 @@
-"""What a registered pair is good for: one coloured cloud and one textured mesh of both sensors, and the rig as estimated."""
+"""What a registered pair is good for: a coloured cloud and a textured mesh of both sensors, and the estimated rig."""
 
 from pathlib import Path
 

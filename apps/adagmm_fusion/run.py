@@ -63,7 +63,7 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
         try:
             for outcome in run_pairs(recording, settings, indices):
                 wanted = outcome.estimate is not None and not (viewer is None and args.no_clouds)
-                mesh = fused_mesh(outcome.pair, outcome.T_estimate, max_depth_m=settings.max_depth_m) if wanted else None
+                mesh = _fused(outcome, settings) if wanted else None
                 if viewer is not None:
                     viewer.log(outcome, mesh)
                 rig_estimate.add(outcome)
@@ -120,6 +120,10 @@ def selected_pairs(text: str | None, count: int) -> list[int]:
             raise InputError(f"--pairs: expected ranges within 0-{count - 1}, the recording's pairs, got {part!r}")
         indices += chosen
     return list(dict.fromkeys(indices))
+
+
+def _fused(outcome: PairOutcome, settings: Settings) -> TexturedMesh | None:
+    return fused_mesh(outcome.pair, outcome.T_estimate, max_depth_m=settings.max_depth_m)
 
 
 def _saved(outcome: PairOutcome, mesh: TexturedMesh, folder: Path, settings: Settings) -> dict[str, str]:

@@ -54,9 +54,7 @@ def textured_glb(
             }
         ],
         "textures": [{"source": 0, "sampler": 0}],
-        "samplers": [
-            {"magFilter": LINEAR, "minFilter": LINEAR, "wrapS": CLAMP_TO_EDGE, "wrapT": CLAMP_TO_EDGE}
-        ],
+        "samplers": [{"magFilter": LINEAR, "minFilter": LINEAR, "wrapS": CLAMP_TO_EDGE, "wrapT": CLAMP_TO_EDGE}],
     }
     coordinates = np.ascontiguousarray(uvs, dtype="<f4")
     return _glb(vertices, normals, triangles, {"TEXCOORD_0": (coordinates, FLOAT32, "VEC2")}, scene, png)

@@ -1,7 +1,7 @@
 """The depth images of a few sensors at one moment joined into one surface, textured with their colour images.
 
-A few depth images leave most of a voxel grid seen once or never, so the surface keeps the images' own grids: of each the
-part that no other shows better.
+A few depth images leave most of a voxel grid seen once or never, so the surface keeps the images' own grids: of each
+the part that no other shows better.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ SAME_SURFACE_M, SAME_SURFACE_SHARE = 0.03, 0.02
 
 
 def textured_moment(placed: Sequence[tuple[RGBDFrame, np.ndarray]], *, max_depth_m: float) -> TexturedMesh:
-    """The surface that frames show, each given with its T_world_camera (4, 4), in the world, with their colours blended.
+    """The surface that frames show, each given with its T_world_camera (4, 4), in the world, their colours blended.
 
     Raises
     ------

@@ -9,7 +9,7 @@ import open3d as o3d
 from adagmm_fusion.frames import RGBDFrame, inverse_rigid
 from adagmm_fusion.meshes.pinhole_images import pinhole_images
 
-# A point counts as seen if no surface lies nearer than this before it: the mesh is some voxels off where sensors disagree.
+# A point counts as seen if no surface lies farther than this before it: where sensors disagree the mesh is in between.
 HIDDEN_BY_M, HIDDEN_BY_SHARE = 0.03, 0.02
 # A photograph fades out towards its border, and where something hides what is behind it.
 # It never vanishes: where there is no better one it still counts.
@@ -43,7 +43,9 @@ class TextureView:
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(..., 2) float32 pixels and (...) float32 depth [m] of (..., 3) points in the world."""
-        camera = points @ self.T_camera_world[:3, :3].T.astype(np.float32) + self.T_camera_world[:3, 3].astype(np.float32)
+        camera = points @ self.T_camera_world[:3, :3].T.astype(np.float32) + self.T_camera_world[:3, 3].astype(
+            np.float32
+        )
         z = camera[..., 2]
         with np.errstate(divide="ignore", invalid="ignore"):
             pixels = camera[..., :2] / z[..., None] * self.K[[0, 1], [0, 1]] + self.K[:2, 2]
@@ -82,7 +84,9 @@ def texture_view(
     distance = hits["t_hit"].numpy()
     hit = np.isfinite(distance)
     points = rays[..., :3] + np.where(hit, distance, 0.0)[..., None] * rays[..., 3:]
-    surface_z = np.where(hit, points @ T_camera_world[2, :3].astype(np.float32) + np.float32(T_camera_world[2, 3]), np.inf)
+    surface_z = np.where(
+        hit, points @ T_camera_world[2, :3].astype(np.float32) + np.float32(T_camera_world[2, 3]), np.inf
+    )
     # The sensor may have seen something thin in front that the mesh lacks; its colour belongs to nothing behind it.
     uncovered = (measured > 0) & (measured < surface_z - HIDDEN_BY_M - HIDDEN_BY_SHARE * measured)
     surface_z[uncovered] = measured[uncovered]

@@ -30,7 +30,7 @@ class TexturedMesh:
 
 
 def save_textured_mesh(path: Path, mesh: TexturedMesh) -> list[Path]:
-    """Write a .glb file with the texture in it, or an .obj file with its .mtl and .png beside it; returns what there is.
+    """Write a .glb file with the texture in it, or an .obj file with .mtl and .png beside it; returns what there is.
 
     Raises
     ------

@@ -1,11 +1,11 @@
 """A surface textured with photographs of it, blended where they overlap.
 
-The texture is an atlas of one tile for each photograph. A tile is the surface as that camera sees it, each of its pixels
-mixed from all photographs that see the same point of the surface, by how well they do. A triangle's texture
-coordinates are where the camera that shows it best sees it. The mixture depends on the point alone, not on the
-tile, so there is no seam where triangles of different tiles meet. Triangles that only photographs without a tile show
-keep the fused colour of their vertices: a flat patch each, below the tiles. Those that no photograph shows are left out:
-nobody saw them, they are the back that fusion gives to every surface.
+The texture is an atlas of one tile for each photograph. A tile is the surface as that camera sees it, each of its
+pixels mixed from all photographs that see the same point of the surface, by how well they do. A triangle's texture
+coordinates are where the camera that shows it best sees it. The mixture depends on the point alone, not on the tile, so
+there is no seam where triangles of different tiles meet. Triangles that only photographs without a tile show keep the
+fused colour of their vertices: a flat patch each, below the tiles. Those that no photograph shows are left out: nobody
+saw them, they are the back that fusion gives to every surface.
 """
 
 import numpy as np
@@ -29,9 +29,7 @@ class Texturing:
     none before does; `surface` has vertex normals, and colours if some photographs may have no tile.
     """
 
-    def __init__(
-        self, surface: o3d.geometry.TriangleMesh, *, max_depth_m: float, new_share: float = NEW_SHARE
-    ) -> None:
+    def __init__(self, surface: o3d.geometry.TriangleMesh, *, max_depth_m: float, new_share: float = NEW_SHARE) -> None:
         self._surface, self._max_depth_m, self._new_share = surface, max_depth_m, new_share
         self._scene = o3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(o3d.t.geometry.TriangleMesh.from_legacy(surface))

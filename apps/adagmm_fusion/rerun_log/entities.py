@@ -5,7 +5,8 @@
     /world/source             the moving sensor: one transform per EM iteration
     /world/initial/source     where the estimate started
     /world/truth/source       where the calibration puts it
-    /world/fused              the surface of both sensors at the estimate, textured
+    /world/fused              the surface of all sensors at the estimate, textured
+    /world/ways/<sensor>      where each frame of a whole recording was taken
 
 A sensor's own data lies below it, in its own frame, and never moves: only the sensor's transform does.
 """
@@ -16,6 +17,7 @@ WORLD = "world"
 INITIAL = f"{WORLD}/initial"
 TRUTH = f"{WORLD}/truth"
 FUSED = f"{WORLD}/fused"
+WAYS = f"{WORLD}/ways"
 DIFFERENCE = f"{WORLD}/difference"
 UNOBSERVABLE = f"{WORLD}/unobservable"
 

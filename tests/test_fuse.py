@@ -22,7 +22,7 @@ from adagmm_fusion.recording import open_recording
 from adagmm_fusion.sequence.edge_file import EdgeFile
 from adagmm_fusion.sequence.edges import Edge
 from adagmm_fusion.sequence.loop_candidates import near_frames
-from adagmm_fusion.sequence.pose_graph import best_connected, chained_poses, optimized_poses
+from adagmm_fusion.sequence.pose_graph import chained_poses, connected_sets, optimized_poses
 from adagmm_fusion.sequence.scene import scene_of
 from adagmm_fusion.sequence.trajectory_errors import align_rigid, trajectory_errors
 from adagmm_o3d import lie
@@ -209,7 +209,7 @@ def test_frames_that_nothing_holds_together_are_left_out():
     edges = [edge(true, 1, 0), edge(true, 2, 1, reason="overlap 0.02 is below 0.3")]
     edges += [edge(true, 3, 2), edge(true, 4, 3), edge(true, 2, 4, loop=True), edge(true, 6, 5)]
     assert sorted(chained_poses(edges)) == [0, 1]
-    assert best_connected(edges, tuple(range(7))) == 2
+    assert connected_sets(edges, range(7)) == [[2, 3, 4], [0, 1], [5, 6]]
     poses, _ = optimized_poses(edges, first=2)
     assert sorted(poses) == [2, 3, 4]
     for i in (2, 3, 4):

@@ -121,7 +121,7 @@ def _estimated(recording, scene, settings, folder: Path) -> dict:
 
     from adagmm_fusion.commands.progress import staged_progress_bar
     from adagmm_fusion.sequence.edge_file import EdgeFile
-    from adagmm_fusion.sequence.pose_graph import best_connected, optimized_poses
+    from adagmm_fusion.sequence.pose_graph import connected_sets, optimized_poses
     from adagmm_fusion.sequence.registration import register_scene
     from adagmm_fusion.sequence.scene import fixed_voxel_size, placed_edges
 
@@ -134,10 +134,13 @@ def _estimated(recording, scene, settings, folder: Path) -> dict:
     with staged_progress_bar() as report:
         register_scene(recording, scene, settings, file, report)
     edges = placed_edges(scene, file.edges)
-    poses, dropped = optimized_poses(edges, first=best_connected(edges, scene.places))
+    sets = connected_sets(edges, scene.places)
+    poses, dropped = optimized_poses(edges, first=sets[0][0])
     used = [edge for edge in file.edges if edge.usable]
     loops = sum(edge.loop_closure for edge in used)
     print(f"registered: {len(used)} of {len(file.edges)}; may be wrong: {loops}, of which dropped as wrong: {dropped}")
+    if len(sets) > 1:
+        print(f"frames that hang together: sets of {', '.join(str(len(s)) for s in sets)}; the first is fused")
     if scene.rig:
         print(f"known from the rig: {len(scene.rig)} poses between its sensors")
     for sensor in recording.sensors:

@@ -50,7 +50,8 @@ def joined_surface(placed: Sequence[tuple[RGBDFrame, np.ndarray]], *, max_depth_
             if j != i:
                 z = view.project(vertices)[1]
                 same = np.abs(view.surface_at(vertices) - z) < SAME_SURFACE_M + SAME_SURFACE_SHARE * z
-                better_elsewhere |= same & (view.quality(vertices, normals) > own)
+                theirs = view.quality(vertices, normals)
+                better_elsewhere |= same & ((theirs > own) | ((theirs == own) & (j < i)))
         # A triangle on the border stays, so that the parts overlap and no crack shows.
         grid.remove_triangles_by_mask(better_elsewhere[np.asarray(grid.triangles)].all(axis=1))
         # What follows is compared with what is left, or two frames might each leave a place to the other.

@@ -1,6 +1,6 @@
 """Frames that may show one place though they do not follow each other: near by pose, or alike by their features."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 from scipy.cluster.vq import kmeans2, vq
@@ -16,6 +16,8 @@ MIN_GAP = 3
 ALIKE_PER_FRAME, ALIKE_MIN_GAP = 6, 2
 # The vocabulary: so many words, from so many features of so many frames along the recording.
 WORDS, FEATURES_PER_FRAME, VOCABULARY_FRAMES = 48, 400, 64
+# Loops of a longer recording are sought between stretches of as many frames as make this number of stretches.
+STRETCHES = 200
 
 
 def near_frames(
@@ -67,6 +69,17 @@ def alike_frames(
             if likeness[k] > 0:
                 chosen[frames[max(i, k)], frames[min(i, k)]] = None
     return sorted(chosen)
+
+
+def thinned(pairs: Iterable[tuple[int, int]], moments: dict[int, int]) -> list[tuple[int, int]]:
+    """Of the pairs between two stretches of a long recording the first: loops side by side say much the same."""
+    length = 1 + len(set(moments.values())) // STRETCHES
+    if length == 1:
+        return list(pairs)
+    first: dict[tuple[int, int], tuple[int, int]] = {}
+    for source, target in pairs:
+        first.setdefault((moments[source] // length, moments[target] // length), (source, target))
+    return list(first.values())
 
 
 def _descriptors(recording: Recording, frame: int) -> np.ndarray:

@@ -43,11 +43,6 @@ def chained_poses(edges: Iterable[Edge], first: int = 0) -> Poses:
     return poses
 
 
-def best_connected(edges: Iterable[Edge], frames: tuple[int, ...]) -> int:
-    """The first frame of the largest set of frames that usable edges hold together."""
-    return min(max(_connected(edges, frames), key=len))
-
-
 def optimized_poses(edges: list[Edge], *, first: int = 0) -> tuple[Poses, int]:
     """T_first_frame of each frame that can be reached, and how many loop closures were dropped as wrong."""
     start = chained_poses(edges, first)
@@ -63,8 +58,8 @@ def optimized_poses(edges: list[Edge], *, first: int = 0) -> tuple[Poses, int]:
     return {frame: T_first_world @ pose for frame, pose in poses.items()}, dropped + dropped_inside
 
 
-def _connected(edges: Iterable[Edge], frames: Iterable[int]) -> list[list[int]]:
-    """The frames in sets that usable edges hold together, each in order."""
+def connected_sets(edges: Iterable[Edge], frames: Iterable[int]) -> list[list[int]]:
+    """The frames in sets that usable edges hold together, each in order, the largest first."""
     parent = {frame: frame for frame in frames}
 
     def root(frame: int) -> int:
@@ -79,7 +74,7 @@ def _connected(edges: Iterable[Edge], frames: Iterable[int]) -> list[list[int]]:
     found = defaultdict(list)
     for frame in sorted(parent):
         found[root(frame)].append(frame)
-    return list(found.values())
+    return sorted(found.values(), key=len, reverse=True)
 
 
 def _fragments(start: Poses, used: list[Edge]) -> tuple[list[Poses], int]:
@@ -90,7 +85,7 @@ def _fragments(start: Poses, used: list[Edge]) -> tuple[list[Poses], int]:
     frames, fragments, dropped = sorted(start), [], 0
     for i in range(0, len(frames), FRAGMENT_FRAMES):
         some = frames[i : i + FRAGMENT_FRAMES]
-        for together in _connected(used, some):
+        for together in connected_sets(used, some):
             members = set(together)
             inside = [edge for edge in used if edge.source in members and edge.target in members]
             poses, dropped_here = _optimized(chained_poses(inside, together[0]), inside)

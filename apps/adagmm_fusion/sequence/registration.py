@@ -6,8 +6,8 @@ from adagmm_fusion.frame_sequence import Recording
 from adagmm_fusion.frames import RGBDFrame, RGBDPair
 from adagmm_fusion.sequence.edge_file import EdgeFile
 from adagmm_fusion.sequence.edges import Edge, registered_edge
-from adagmm_fusion.sequence.loop_candidates import alike_frames, near_frames
-from adagmm_fusion.sequence.pose_graph import best_connected, chained_poses
+from adagmm_fusion.sequence.loop_candidates import alike_frames, near_frames, thinned
+from adagmm_fusion.sequence.pose_graph import chained_poses, connected_sets
 from adagmm_fusion.sequence.scene import Scene
 from adagmm_fusion.settings import Settings
 from adagmm_o3d.errors import AdaGMMError
@@ -33,13 +33,14 @@ def register_scene(recording: Recording, scene: Scene, settings: Settings, file:
     alike = alike_frames(
         recording, scene.frames, scene.moments, lambda done, total: progress("comparing images", done, total)
     )
+    alike = thinned(alike, scene.moments)
     for done, (source, target) in enumerate(alike):
         progress("registering images that are alike", done, len(alike))
         registrar.edge(source, target, loop_closure=True, confirmed_only=True)
     edges = [*scene.rig, *file.edges]
-    poses = chained_poses(edges, best_connected(edges, scene.frames))
+    poses = chained_poses(edges, connected_sets(edges, scene.frames)[0][0])
     sensors = {frame: recording.entries[frame].sensor for frame in scene.frames}
-    near = list(near_frames(poses, scene.moments, sensors))
+    near = thinned(near_frames(poses, scene.moments, sensors), scene.moments)
     for done, (source, target) in enumerate(near):
         progress("closing loops", done, len(near))
         registrar.edge(source, target, loop_closure=True)

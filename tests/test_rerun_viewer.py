@@ -5,7 +5,7 @@ import argparse
 import cv2
 import numpy as np
 import pytest
-from registered_scene import ITERATIONS, known_estimate, room_clouds, room_pair
+from registered_scene import ITERATIONS, known_estimate, room_clouds, room_mesh, room_pair
 from viewer import complaints, needs_viewer, screenshot
 
 from adagmm_fusion.rerun_log import (
@@ -58,7 +58,10 @@ def colorfulness(picture: np.ndarray) -> int:
 def pair_viewer(tmp_path_factory):
     path = tmp_path_factory.mktemp("viewer") / "pair.rrd"
     free = (np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0]), np.array([0.8, 0.0, 0.0, 0.0, 0.6, 0.0]))
-    save(path, lambda rec: log_pair(rec, room_pair(), *room_clouds(), known_estimate(unobservable=free)))
+    save(
+        path,
+        lambda rec: log_pair(rec, room_pair(), *room_clouds(), known_estimate(unobservable=free), fused=room_mesh()),
+    )
     with headless_viewer(path) as viewer:
         yield viewer
 

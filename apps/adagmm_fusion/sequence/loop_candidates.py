@@ -9,15 +9,21 @@ from adagmm_fusion.feature_start import color_features
 from adagmm_fusion.frame_sequence import Recording
 from adagmm_o3d.errors import AdaGMMError
 
-# Frames this near, and at least this many moments apart; of each frame, the nearest ones.
+# A longer recording is taken in so many stretches: gaps are counted in them, and between two of them one loop is
+# enough. In a shorter one each frame is a stretch of its own.
+STRETCHES = 200
+# Frames this near, and so many stretches apart; of each frame, the nearest ones.
 NEAR_ROTATION_DEG, NEAR_TRANSLATION_M, NEAR_PER_FRAME = 25.0, 0.5, 2
-MIN_GAP = 3
-# Of each frame, the most alike ones at least two moments apart.
+NEAR_MIN_GAP = 3
+# Of each frame, the most alike ones so many stretches apart.
 ALIKE_PER_FRAME, ALIKE_MIN_GAP = 6, 2
 # The vocabulary: so many words, from so many features of so many frames along the recording.
 WORDS, FEATURES_PER_FRAME, VOCABULARY_FRAMES = 48, 400, 64
-# Loops of a longer recording are sought between stretches of as many frames as make this number of stretches.
-STRETCHES = 200
+
+
+def stretch_length(moments: Iterable[int]) -> int:
+    """How many moments make a stretch."""
+    return 1 + len(set(moments)) // STRETCHES
 
 
 def near_frames(
@@ -28,14 +34,16 @@ def near_frames(
     T = np.array([poses[frame] for frame in frames])
     moment = np.array([moments[frame] for frame in frames])
     sensor = np.array([sensors[frame] for frame in frames])
+    length = stretch_length(moments.values())
     for i, source in enumerate(frames):
         cosines = (np.einsum("nab,ab->n", T[:i, :3, :3], T[i, :3, :3]) - 1.0) / 2.0
         rotation = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0)))
         translation = np.linalg.norm(T[:i, :3, 3] - T[i, :3, 3], axis=1)
-        far_along = np.abs(moment[:i] - moment[i]) >= np.where(sensor[:i] == sensor[i], MIN_GAP, 1)
+        far_along = np.abs(moment[:i] - moment[i]) >= np.where(sensor[:i] == sensor[i], NEAR_MIN_GAP * length, 1)
         near = np.flatnonzero(far_along & (rotation <= NEAR_ROTATION_DEG) & (translation <= NEAR_TRANSLATION_M))
         distance = rotation[near] / NEAR_ROTATION_DEG + translation[near] / NEAR_TRANSLATION_M
-        yield from ((source, frames[k]) for k in near[np.argsort(distance, kind="stable")[:NEAR_PER_FRAME]])
+        nearest_first = near[np.argsort(distance, kind="stable")]
+        yield from ((source, frames[k]) for k in _apart(nearest_first, moment, length, NEAR_PER_FRAME))
 
 
 def alike_frames(
@@ -60,26 +68,37 @@ def alike_frames(
     for i, frame in enumerate(frames):
         progress(i, len(frames))
         vectors[i] = _vlad(_descriptors(recording, frame), words)
-    moment = np.array([moments[frame] for frame in frames])
+    moment, length = np.array([moments[frame] for frame in frames]), stretch_length(moments.values())
     chosen: dict[tuple[int, int], None] = {}
     for i in range(len(frames)):
         likeness = vectors @ vectors[i]
-        likeness[np.abs(moment - moment[i]) < ALIKE_MIN_GAP] = -1.0
-        for k in np.argsort(-likeness, kind="stable")[:ALIKE_PER_FRAME]:
-            if likeness[k] > 0:
-                chosen[frames[max(i, k)], frames[min(i, k)]] = None
+        likeness[np.abs(moment - moment[i]) < ALIKE_MIN_GAP * length] = 0.0
+        likest_first = [k for k in np.argsort(-likeness, kind="stable") if likeness[k] > 0]
+        for k in _apart(likest_first, moment, length, ALIKE_PER_FRAME):
+            chosen[frames[max(i, k)], frames[min(i, k)]] = None
     return sorted(chosen)
 
 
 def thinned(pairs: Iterable[tuple[int, int]], moments: dict[int, int]) -> list[tuple[int, int]]:
     """Of the pairs between two stretches of a long recording the first: loops side by side say much the same."""
-    length = 1 + len(set(moments.values())) // STRETCHES
+    length = stretch_length(moments.values())
     if length == 1:
         return list(pairs)
     first: dict[tuple[int, int], tuple[int, int]] = {}
     for source, target in pairs:
         first.setdefault((moments[source] // length, moments[target] // length), (source, target))
     return list(first.values())
+
+
+def _apart(best_first: Iterable[int], moment: np.ndarray, length: int, count: int) -> list[int]:
+    """The first `count` that are not of one stretch."""
+    chosen: list[int] = []
+    for k in best_first:
+        if length == 1 or all(abs(moment[k] - moment[other]) >= length for other in chosen):
+            chosen.append(int(k))
+            if len(chosen) == count:
+                break
+    return chosen
 
 
 def _descriptors(recording: Recording, frame: int) -> np.ndarray:

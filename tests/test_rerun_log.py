@@ -115,7 +115,10 @@ def three_pairs(tmp_path_factory):
                 em_step=em_step,
                 fused=room_mesh(frame, (0.5 * frame, 0.0, 0.0)),
             )
-        assert log_refused_pair(rec, "pair_2", "no depth", frame_index=2, em_step=em_step) == em_step + 1
+        assert (
+            log_refused_pair(rec, "pair_2", "no depth", before=room_pair(1), frame_index=2, em_step=em_step)
+            == em_step + 1
+        )
         log_recording_summary(
             rec,
             [

@@ -125,7 +125,7 @@ def test_many_pairs(tmp_path):
         for frame in (0, 1):
             estimate = known_estimate(frame, off=(0.5 * frame, 0.0, 0.0))
             em_step = log_pair(rec, room_pair(frame), *room_clouds(frame), estimate, frame_index=frame, em_step=em_step)
-        log_refused_pair(rec, "pair_2", "no depth", frame_index=2, em_step=em_step)
+        log_refused_pair(rec, "pair_2", "no depth", before=room_pair(1), frame_index=2, em_step=em_step)
         log_recording_summary(
             rec, [SummaryRow(0, "pair_0", "ok", 0.1, 1.0), SummaryRow(1, "pair_1", "failed", 0.1, 500.0)]
         )

@@ -11,6 +11,7 @@ from rich.console import Console
 
 from adagmm_fusion.commands.progress import progress
 from adagmm_fusion.frame_sequence import Recording
+from adagmm_fusion.frames import RGBDPair
 from adagmm_fusion.fusion import RigEstimate, fused_cloud, fused_mesh, save_cloud
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh, save_textured_mesh
 from adagmm_fusion.pair_record import PairRecord, pair_record
@@ -145,14 +146,17 @@ class _Viewer:
         self._stream, self._many = stream, pair_count > 1
         self._limits = Limits(settings.max_rotation_error_deg, settings.max_translation_error_mm)
         self._next_frame, self._em_step, self._has_eye = 0, 0, False
+        self._before: RGBDPair | None = None
 
     def log(self, outcome: PairOutcome, fused: TexturedMesh | None) -> None:
         frame_index = self._next_frame
         self._next_frame += 1
         shown_as = {"frame_index": frame_index if self._many else None, "em_step": self._em_step}
         if outcome.source_cloud is None:
+            shown_as["before"] = self._before
             self._em_step = log_refused_pair(self._stream, outcome.pair_name, outcome.reason, **shown_as)
             return
+        self._before = outcome.pair
         if not self._has_eye:
             self._has_eye = True
             eye = Eye.behind(np.asarray(outcome.target_cloud.points))

@@ -104,15 +104,23 @@ def log_pair(
 
 
 def log_refused_pair(
-    rec: rr.RecordingStream, name: str, reason: str, *, frame_index: int | None = None, em_step: int = 0
+    rec: rr.RecordingStream,
+    name: str,
+    reason: str,
+    *,
+    before: RGBDPair | None = None,
+    frame_index: int | None = None,
+    em_step: int = 0,
 ) -> int:
-    """Log a pair of which there are no clouds: its report says why, and nothing of the pair before is left to see.
+    """Log a pair of which there are no clouds: its report says why, and nothing of the pair `before` is left to see.
 
     Returns the `em_step` at which the next pair starts.
     """
     when = When(frame_index, em_step)
     when.clear(rec, entities.WORLD)
-    log_blank_images(rec, when)
+    if before is not None:
+        sizes = ((k.width, k.height) for k in (before.target.intrinsics, before.source.intrinsics))
+        log_blank_images(rec, *sizes, when)
     when.clear(rec, entities.DIAGNOSTICS)
     when.clear(rec, entities.CHARTS)
     report = pair_report(name, None, None, status="failed", reason=reason)

@@ -101,14 +101,14 @@ def _crosses(edge: Edge, fragment_of: dict[int, int]) -> bool:
 def _between(edge: Edge, fragments: list[Poses], fragment_of: dict[int, int]) -> Edge:
     """An edge between two frames as one between their fragments."""
     source, target = fragment_of[edge.source], fragment_of[edge.target]
-    T_target_frame = fragments[target][edge.target]
-    # The information is about motions of points in the target frame: in the fragment's frame these look otherwise.
-    adjoint = lie.se_adjoint(inverse_rigid(T_target_frame))
+    T_target_frame, T_source_frame = fragments[target][edge.target], fragments[source][edge.source]
+    # Open3D weighs motions in the source frame with the information: in the fragment's frame these look otherwise.
+    adjoint = lie.se_adjoint(inverse_rigid(T_source_frame))
     return replace(
         edge,
         source=source,
         target=target,
-        transformation=T_target_frame @ edge.transformation @ inverse_rigid(fragments[source][edge.source]),
+        transformation=T_target_frame @ edge.transformation @ inverse_rigid(T_source_frame),
         information=adjoint.T @ edge.information @ adjoint,
     )
 

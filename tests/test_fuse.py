@@ -8,6 +8,7 @@ import numpy as np
 import open3d as o3d
 import pytest
 from depth_scene import BALL_CENTRE, BALL_RADIUS, PLANES, camera_pose, render, write_pose_file
+from rerun.chunk import RrdReader
 from scipy.spatial.transform import Rotation
 from shared_data import ROOT, shared_data
 
@@ -114,8 +115,12 @@ def test_other_settings_do_not_mix(walk, tmp_path, monkeypatch, capsys):
 
 def test_true_poses_need_no_registration(walk, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(edges_module, "register_pair", None)
-    assert fuse(walk, tmp_path, "--poses", "truth", "--mesh", "glb") == 0
+    log = tmp_path / "fused.rrd"
+    assert fuse(walk, tmp_path, "--poses", "truth", "--mesh", "glb", "--save", str(log)) == 0
     assert capsys.readouterr().out.startswith(f"mesh: {tmp_path / 'mesh.glb'}, 5 frames, ")
+    logged = {str(column) for column in RrdReader(log).store().schema().component_columns()}
+    assert any("/world/fused" in column and "vertex_texcoords" in column for column in logged)
+    assert any("/world/ways/" in column for column in logged)
     mesh = o3d.io.read_triangle_mesh(str(tmp_path / "mesh.glb"))
     points = np.asarray(mesh.vertices)
     points = points * (1.0, -1.0, -1.0) if points[:, 1].mean() > 0 > points[:, 2].mean() else points

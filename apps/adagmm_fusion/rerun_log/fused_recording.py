@@ -13,10 +13,16 @@ from adagmm_fusion.rerun_log.meshes import TWO_SIDED, log_textured_mesh
 from adagmm_fusion.rerun_log.views import Eye, scene
 from adagmm_fusion.rerun_log.when import When
 
+# The view is filled by so much of the mesh: a few surfaces seen far away would make the rest small.
+SHOWN_PERCENT = 90
+
 
 def fused_blueprint(vertices: np.ndarray) -> rrb.Blueprint:
     """One view of the mesh with vertices (N, 3) and of the sensors' ways."""
-    view = scene("Fused", dict.fromkeys((entities.FUSED, f"{entities.WAYS}/**")), Eye.around(np.asarray(vertices)))
+    points = np.asarray(vertices)
+    distance = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    most = points[distance <= np.percentile(distance, SHOWN_PERCENT)]
+    view = scene("Fused", dict.fromkeys((entities.FUSED, f"{entities.WAYS}/**")), Eye.around(most))
     return rrb.Blueprint(view, collapse_panels=True, auto_layout=False, auto_views=False)
 
 

@@ -1,6 +1,8 @@
 """`adagmm-fusion fuse`: a whole recording as one coloured or textured mesh."""
 
 import argparse
+import contextlib
+import sys
 from pathlib import Path
 
 from adagmm_fusion.commands.recording_arguments import add_recording_arguments, recording_of
@@ -63,6 +65,13 @@ def run(args: argparse.Namespace) -> int:
     ------
     AdaGMMError  if the recording cannot be used, the poses are not known, or a result cannot be written.
     """
+    # With --stdout the Rerun recording goes there, and what is said to stderr.
+    with contextlib.redirect_stdout(sys.stderr) if args.stdout else contextlib.nullcontext():
+        _fuse(args)
+    return 0
+
+
+def _fuse(args: argparse.Namespace) -> None:
     from adagmm_fusion.commands.progress import staged_progress_bar
     from adagmm_fusion.sequence.fused_mesh import fuse_frames, save_fused_mesh
     from adagmm_fusion.sequence.scene import scene_of
@@ -95,7 +104,6 @@ def run(args: argparse.Namespace) -> int:
     print(f"mesh: {', '.join(map(str, paths))}, {len(placed)} frames, {len(mesh.triangles)} triangles, {note}")
     if args.save or args.connect or args.serve or args.url or args.stdout:
         _show(args, recording, mesh, placed)
-    return 0
 
 
 def _show(args: argparse.Namespace, recording, mesh, placed: dict) -> None:

@@ -8,6 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from adagmm_fusion.clouds import cloud_from_frame
 from adagmm_fusion.frames import PinholeIntrinsics, RGBDFrame, RGBDPair
+from adagmm_fusion.fusion import fused_mesh
+from adagmm_fusion.meshes.textured_mesh import TexturedMesh
 from adagmm_o3d.result import PointRegistrationResult, StopReason
 
 ITERATIONS = 12
@@ -62,3 +64,10 @@ def known_estimate(
         ambiguous=False,
         warnings=(),
     )
+
+
+@lru_cache
+def room_mesh(index: int = 0, off=(0.0, 0.0, 0.0)) -> TexturedMesh:
+    """Both views joined at the end of `known_estimate`."""
+    T_target_source = known_estimate(index, off=off).transformation
+    return fused_mesh(room_pair(index), T_target_source, max_depth_m=6.0)

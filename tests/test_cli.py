@@ -57,7 +57,7 @@ def test_the_results_fit_together(finished):
     assert set(report["results"].values()) == {
         "rig.yaml",
         "two_kinects.rrd",
-        *(f"fused/00000{i}_right_to_left.ply" for i in range(3)),
+        *(f"fused/00000{i}_right_to_left.{kind}" for i in range(3) for kind in ("ply", "glb")),
     }
     assert len(o3d.io.read_point_cloud(str(folder / "fused" / "000001_right_to_left.ply")).points) > 100_000
     assert command("rerun", "rrd", "verify", str(folder / "two_kinects.rrd")).returncode == 0

@@ -7,7 +7,7 @@ from depth_scene import BALL_CENTRE, BALL_RADIUS, PLANES, camera_pose, render
 from adagmm_fusion.clouds import SENSOR_MODELS, cloud_from_frame, clouds_from_pair, dense_cloud, find_voxel_size
 from adagmm_fusion.depth_geometry import depth_edges, grid_normals, pixel_rays
 from adagmm_fusion.frames import PinholeIntrinsics, RGBDFrame, RGBDPair
-from adagmm_fusion.mesh import textured_grid
+from adagmm_fusion.meshes.depth_grid import textured_grid
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.uncertainty import estimate_kinect_covariances
 

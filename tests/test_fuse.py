@@ -8,20 +8,24 @@ import numpy as np
 import open3d as o3d
 import pytest
 from depth_scene import BALL_CENTRE, BALL_RADIUS, PLANES, camera_pose, render, write_pose_file
+from rerun.chunk import RrdReader
 from scipy.spatial.transform import Rotation
 from shared_data import ROOT, shared_data
 
+import adagmm_fusion.sequence.edges as edges_module
 import adagmm_fusion.sequence.registration as registration
 from adagmm_fusion.cli import main
 from adagmm_fusion.errors import OutputError, RecordingError
 from adagmm_fusion.frames import PinholeIntrinsics, RGBDFrame, inverse_rigid
+from adagmm_fusion.meshes.glb_file import colored_glb
+from adagmm_fusion.meshes.tsdf import TSDFVolume, save_mesh
 from adagmm_fusion.recording import open_recording
 from adagmm_fusion.sequence.edge_file import EdgeFile
-from adagmm_fusion.sequence.glb_file import glb_bytes
-from adagmm_fusion.sequence.pose_graph import Edge, best_connected, chained_poses, optimized_poses
-from adagmm_fusion.sequence.registration import loop_candidates, scene_of
+from adagmm_fusion.sequence.edges import Edge
+from adagmm_fusion.sequence.loop_candidates import near_frames
+from adagmm_fusion.sequence.pose_graph import chained_poses, connected_sets, optimized_poses
+from adagmm_fusion.sequence.scene import scene_of
 from adagmm_fusion.sequence.trajectory_errors import align_rigid, trajectory_errors
-from adagmm_fusion.sequence.tsdf import TSDFVolume, save_mesh
 from adagmm_o3d import lie
 from adagmm_o3d.errors import InputError
 
@@ -48,8 +52,13 @@ def walk(tmp_path_factory):
     return folder
 
 
+FAST = ("--device", "cpu", "--mesh", "ply")
+
+
 def fuse(walk, folder, *more) -> int:
-    return main(["fuse", str(walk), "--output", str(folder), "--voxel-size", "0.03", "--device", "cpu", *more])
+    return main(
+        ["fuse", str(walk), "--output", str(folder), "--voxel-size", "0.03", "--device", "cpu", "--mesh", "ply", *more]
+    )
 
 
 def test_a_walk_is_fused_and_its_trajectory_is_right(walk, tmp_path, capsys):
@@ -71,7 +80,7 @@ def test_a_walk_is_fused_and_its_trajectory_is_right(walk, tmp_path, capsys):
 
 
 def test_an_interrupted_run_goes_on_where_it_was(walk, tmp_path, monkeypatch, capsys):
-    register_pair, registered = registration.register_pair, []
+    register_pair, registered = edges_module.register_pair, []
 
     def interrupted(pair, settings):
         if len(registered) == 2:
@@ -79,9 +88,9 @@ def test_an_interrupted_run_goes_on_where_it_was(walk, tmp_path, monkeypatch, ca
         registered.append(pair.name)
         return register_pair(pair, settings)
 
-    monkeypatch.setattr(registration, "register_pair", interrupted)
+    monkeypatch.setattr(edges_module, "register_pair", interrupted)
     assert fuse(walk, tmp_path) == 130
-    monkeypatch.setattr(registration, "register_pair", lambda *a: registered.append(a[0].name) or register_pair(*a))
+    monkeypatch.setattr(edges_module, "register_pair", lambda *a: registered.append(a[0].name) or register_pair(*a))
     capsys.readouterr()
     assert fuse(walk, tmp_path) == 0
     assert capsys.readouterr().out.startswith("resumed: 2 registrations are there\n")
@@ -90,7 +99,7 @@ def test_an_interrupted_run_goes_on_where_it_was(walk, tmp_path, monkeypatch, ca
     def never(*_):
         raise AssertionError("everything was registered already")
 
-    monkeypatch.setattr(registration, "register_pair", never)
+    monkeypatch.setattr(edges_module, "register_pair", never)
     first = (tmp_path / "mesh.ply").read_bytes()
     assert fuse(walk, tmp_path) == 0
     assert len((tmp_path / "mesh.ply").read_bytes()) == len(first)
@@ -105,9 +114,13 @@ def test_other_settings_do_not_mix(walk, tmp_path, monkeypatch, capsys):
 
 
 def test_true_poses_need_no_registration(walk, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(registration, "register_pair", None)
-    assert fuse(walk, tmp_path, "--poses", "truth", "--mesh", "glb") == 0
+    monkeypatch.setattr(edges_module, "register_pair", None)
+    log = tmp_path / "fused.rrd"
+    assert fuse(walk, tmp_path, "--poses", "truth", "--mesh", "glb", "--save", str(log)) == 0
     assert capsys.readouterr().out.startswith(f"mesh: {tmp_path / 'mesh.glb'}, 5 frames, ")
+    logged = {str(column) for column in RrdReader(log).store().schema().component_columns()}
+    assert any("/world/fused" in column and "vertex_texcoords" in column for column in logged)
+    assert any("/world/ways/" in column for column in logged)
     mesh = o3d.io.read_triangle_mesh(str(tmp_path / "mesh.glb"))
     points = np.asarray(mesh.vertices)
     points = points * (1.0, -1.0, -1.0) if points[:, 1].mean() > 0 > points[:, 2].mean() else points
@@ -117,7 +130,7 @@ def test_true_poses_need_no_registration(walk, tmp_path, monkeypatch, capsys):
 def test_the_moment_of_several_sensors(tmp_path, capsys):
     recording = open_recording(ROOT / "recordings" / "two_kinects")
     scene = scene_of(recording)
-    assert [recording.entries[i].name for i in scene.frames] == ["000000"] * 2 and not scene.is_path
+    assert [recording.entries[i].name for i in scene.frames] == ["000000"] * 2 and not scene.paths
     assert [recording.entries[i].name for i in scene_of(recording, "000002").frames] == ["000002"] * 2
     assert main(["fuse", str(recording.path), "--moment", "7", "--output", str(tmp_path)]) == 1
     assert capsys.readouterr().err.endswith("there is no pair of sensors at moment '7'\n")
@@ -201,7 +214,7 @@ def test_frames_that_nothing_holds_together_are_left_out():
     edges = [edge(true, 1, 0), edge(true, 2, 1, reason="overlap 0.02 is below 0.3")]
     edges += [edge(true, 3, 2), edge(true, 4, 3), edge(true, 2, 4, loop=True), edge(true, 6, 5)]
     assert sorted(chained_poses(edges)) == [0, 1]
-    assert best_connected(edges, tuple(range(7))) == 2
+    assert connected_sets(edges, range(7)) == [[2, 3, 4], [0, 1], [5, 6]]
     poses, _ = optimized_poses(edges, first=2)
     assert sorted(poses) == [2, 3, 4]
     for i in (2, 3, 4):
@@ -210,7 +223,12 @@ def test_frames_that_nothing_holds_together_are_left_out():
 
 def test_loops_are_sought_near_by_and_far_along_the_path():
     turned = {i: camera_pose(10.0 * i) for i in range(6)} | {6: camera_pose(1.0), 7: camera_pose(2.0, (3.0, 0, 1.2))}
-    assert list(loop_candidates(turned)) == [(6, 0), (6, 1)]
+    moments = {i: i for i in turned}
+    assert list(near_frames(turned, moments, dict.fromkeys(turned, "camera"))) == [(6, 0), (6, 1)]
+    # Two sensors of one rig: never at one moment, otherwise at any.
+    moments, sensors = {0: 0, 1: 0, 2: 1, 3: 1}, {0: "left", 1: "right", 2: "left", 3: "right"}
+    together = {i: camera_pose(5.0 * i) for i in range(4)}
+    assert list(near_frames(together, moments, sensors)) == [(2, 1), (3, 0)]
 
 
 def test_finished_registrations_are_found_again_without_a_line_cut_off(tmp_path):
@@ -280,7 +298,7 @@ def test_a_glb_file_is_what_the_standard_says(tmp_path):
     normals = np.tile((0.0, 0.0, -1.0), (4, 1))
     colors = np.array([[1.0, 0.5, 0.0]] * 4)
     triangles = np.array([[0, 2, 1], [1, 2, 3]])
-    data = glb_bytes(vertices, normals, colors, triangles)
+    data = colored_glb(vertices, normals, colors, triangles)
     magic, version, length = struct.unpack("<4sII", data[:12])
     assert (magic, version, length) == (b"glTF", 2, len(data))
     json_length, kind = struct.unpack("<I4s", data[12:20])

@@ -86,9 +86,10 @@ def test_posterior_sums_match_the_naive_reference(dimension, isotropic, mutualit
     case = Case(11 * m + n, m, n, dimension, isotropic)
     sigma, uniform = 0.2, 0.05
     S, T = sigma * reference.turn(case.source_covariances, case.R), sigma * case.target_covariances
-    columns = np.random.default_rng(n).uniform(0.0, 0.5, n)
-    expected = reference.posterior_sums(case.y, S, case.target, T, uniform, columns, mutuality)
-    sums, column_densities = case.loop.posterior_sums(lift(case.pose), sigma, uniform, columns, mutuality)
+    args = (case.y, S, case.target, T, uniform)
+    columns = reference.posterior_sums(*args, np.zeros(n), 0.0).column_densities
+    expected = reference.posterior_sums(*args, columns, mutuality)
+    sums = case.loop.posterior_sums(lift(case.pose), sigma, uniform, mutuality)
     free = FREE[dimension]
     scale = np.abs(expected.hessian).max()
     np.testing.assert_allclose(sums.hessian[np.ix_(free, free)], expected.hessian, rtol=1e-5, atol=1e-6 * scale)
@@ -97,7 +98,7 @@ def test_posterior_sums_match_the_naive_reference(dimension, isotropic, mutualit
     posterior = expected.densities / (expected.densities + uniform)
     column_posterior = expected.column_densities / (expected.column_densities + uniform)
     np.testing.assert_allclose(sums.row_weights, posterior, rtol=2e-6, atol=1e-9)
-    np.testing.assert_allclose(column_densities, expected.column_densities, rtol=2e-6, atol=1e-9)
+    np.testing.assert_allclose(sums.column_densities, expected.column_densities, rtol=2e-6, atol=1e-9)
     overlaps = [sums.overlap, sums.target_overlap]
     np.testing.assert_allclose(overlaps, [posterior.mean(), column_posterior.mean()], rtol=1e-6, atol=0)
     likelihood = np.log1p(expected.densities / uniform).mean() + np.log1p(expected.column_densities / uniform).mean()
@@ -114,6 +115,24 @@ def test_leaving_out_far_tiles_changes_nothing_worth_mentioning(dimension, isotr
     np.testing.assert_allclose(
         sums.energy, reference.energy(C, case.y, case.B, case.target, case.A), rtol=1e-4, atol=1e-4
     )
+
+
+@shapes
+@pytest.mark.parametrize("sigma", [3e-4, 1e-2])
+def test_leaving_out_far_points_changes_the_posteriors_by_less_than_a_millionth(dimension, isotropic, sigma):
+    # Some hundred points a cluster are left out one by one, and whole tiles and groups with them.
+    case = Case(12, 700, 1500, dimension, isotropic)
+    uniform, mutuality = 0.05, 0.5
+    S, T = sigma * reference.turn(case.source_covariances, case.R), sigma * case.target_covariances
+    args = (case.y, S, case.target, T, uniform)
+    columns = reference.posterior_sums(*args, np.zeros(len(case.target)), 0.0).column_densities
+    expected = reference.posterior_sums(*args, columns, mutuality)
+    sums = case.loop.posterior_sums(lift(case.pose), sigma, uniform, mutuality)
+    free, scale = FREE[dimension], np.abs(expected.hessian).max()
+    np.testing.assert_allclose([sums.weight, sums.energy], [expected.weight, expected.energy], rtol=1e-6, atol=0)
+    np.testing.assert_allclose(sums.hessian[np.ix_(free, free)], expected.hessian, rtol=1e-5, atol=1e-6 * scale)
+    np.testing.assert_allclose(sums.gradient[free], expected.gradient, rtol=1e-5, atol=1e-6 * scale)
+    np.testing.assert_allclose(sums.column_densities, expected.column_densities, rtol=2e-6, atol=1e-6)
 
 
 @shapes

@@ -6,7 +6,7 @@ import pytest
 from shared_data import shared_data
 
 from adagmm_fusion.clouds import cloud_from_frame, dense_cloud
-from adagmm_fusion.mesh import textured_grid
+from adagmm_fusion.meshes.depth_grid import textured_grid
 from adagmm_fusion.recording import open_recording
 
 # format, frames, pairs, sensors, and the largest distance [m] that the nearer quarter of the points may have at the

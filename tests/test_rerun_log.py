@@ -8,7 +8,7 @@ import numpy as np
 import open3d as o3d
 import pytest
 import rerun as rr
-from registered_scene import INTRINSICS, ITERATIONS, known_estimate, room_clouds, room_pair
+from registered_scene import INTRINSICS, ITERATIONS, known_estimate, room_clouds, room_mesh, room_pair
 from rerun.chunk import RrdReader
 
 from adagmm_fusion.errors import OutputError
@@ -96,7 +96,7 @@ def one_pair(tmp_path_factory):
     path = tmp_path_factory.mktemp("one") / "pair.rrd"
     free = (np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0]),)
     estimate = known_estimate(unobservable=free)
-    return save(path, lambda rec: log_pair(rec, room_pair(), *room_clouds(), estimate), dashboard())
+    return save(path, lambda rec: log_pair(rec, room_pair(), *room_clouds(), estimate, fused=room_mesh()), dashboard())
 
 
 @pytest.fixture(scope="module")
@@ -113,8 +113,12 @@ def three_pairs(tmp_path_factory):
                 known_estimate(frame, off=(0.5 * frame, 0.0, 0.0)),
                 frame_index=frame,
                 em_step=em_step,
+                fused=room_mesh(frame, (0.5 * frame, 0.0, 0.0)),
             )
-        assert log_refused_pair(rec, "pair_2", "no depth", frame_index=2, em_step=em_step) == em_step + 1
+        assert (
+            log_refused_pair(rec, "pair_2", "no depth", before=room_pair(1), frame_index=2, em_step=em_step)
+            == em_step + 1
+        )
         log_recording_summary(
             rec,
             [
@@ -134,12 +138,18 @@ def test_files_verify_and_leave_nothing_beside_them(one_pair, three_pairs):
 
 
 def test_entities_of_a_pair(one_pair):
-    below_sensor = ("points", "covariances", "mesh", "shape", "image", "image/rgb", "image/depth")
+    below_sensor = ("points", "covariances", "shape", "image", "image/rgb", "image/depth")
     expected = {f"/world/{sensor}/{entity}" for sensor in ("target", "source") for entity in below_sensor}
     expected |= {f"/metrics/{m}" for m in ("energy", "sigma", "rotation_error_deg", "translation_error_mm")}
     expected |= {f"/world/{w}" for w in ("target", "source", "initial/source", "initial/source/shape")}
     expected |= {f"/world/{w}" for w in ("truth/source", "truth/source/image", "initial/source/image", "difference")}
-    expected |= {"/world", "/world/unobservable", "/world/target/image/overlay", "/world/target/image/checkerboard"}
+    expected |= {
+        "/world",
+        "/world/fused",
+        "/world/unobservable",
+        "/world/target/image/overlay",
+        "/world/target/image/checkerboard",
+    }
     expected |= {"/report", "/log", "/diagnostics/residual_histogram"}
     assert expected <= set(RrdReader(one_pair).store().schema().entity_paths())
 
@@ -210,11 +220,11 @@ def test_ellipsoids_shrink_with_sigma(one_pair):
     assert np.sqrt(sigmas[0]) <= first.min() and first.max() <= np.sqrt(sigmas[0] * np.exp(1.67 + 0.28 * 6.0))
 
 
-def test_mesh_carries_the_texture(one_pair):
-    (buffer,) = rows(one_pair, "world/source/mesh", "Mesh3D:albedo_texture_buffer").values
-    assert bytes(buffer[0]) == room_pair().source.color.tobytes()
-    (uvs,) = rows(one_pair, "world/source/mesh", "Mesh3D:vertex_texcoords").values
-    assert np.min(uvs) >= 0.0 and np.max(uvs) <= 1.0
+def test_the_fused_mesh_carries_its_texture(one_pair):
+    (buffer,) = rows(one_pair, "world/fused", "Mesh3D:albedo_texture_buffer").values
+    assert bytes(buffer[0]) == room_mesh().texture.tobytes()
+    (uvs,) = rows(one_pair, "world/fused", "Mesh3D:vertex_texcoords").values
+    np.testing.assert_array_equal(np.float32(uvs), room_mesh().uvs)
 
 
 def test_shapes_before_and_after_are_the_same_in_one_color_each(one_pair):

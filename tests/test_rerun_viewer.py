@@ -5,7 +5,7 @@ import argparse
 import cv2
 import numpy as np
 import pytest
-from registered_scene import ITERATIONS, known_estimate, room_clouds, room_pair
+from registered_scene import ITERATIONS, known_estimate, room_clouds, room_mesh, room_pair
 from viewer import complaints, needs_viewer, screenshot
 
 from adagmm_fusion.rerun_log import (
@@ -58,7 +58,10 @@ def colorfulness(picture: np.ndarray) -> int:
 def pair_viewer(tmp_path_factory):
     path = tmp_path_factory.mktemp("viewer") / "pair.rrd"
     free = (np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0]), np.array([0.8, 0.0, 0.0, 0.0, 0.6, 0.0]))
-    save(path, lambda rec: log_pair(rec, room_pair(), *room_clouds(), known_estimate(unobservable=free)))
+    save(
+        path,
+        lambda rec: log_pair(rec, room_pair(), *room_clouds(), known_estimate(unobservable=free), fused=room_mesh()),
+    )
     with headless_viewer(path) as viewer:
         yield viewer
 
@@ -122,7 +125,7 @@ def test_many_pairs(tmp_path):
         for frame in (0, 1):
             estimate = known_estimate(frame, off=(0.5 * frame, 0.0, 0.0))
             em_step = log_pair(rec, room_pair(frame), *room_clouds(frame), estimate, frame_index=frame, em_step=em_step)
-        log_refused_pair(rec, "pair_2", "no depth", frame_index=2, em_step=em_step)
+        log_refused_pair(rec, "pair_2", "no depth", before=room_pair(1), frame_index=2, em_step=em_step)
         log_recording_summary(
             rec, [SummaryRow(0, "pair_0", "ok", 0.1, 1.0), SummaryRow(1, "pair_1", "failed", 0.1, 500.0)]
         )

@@ -62,7 +62,7 @@ def test_ends_are_compared_by_the_likelihood_of_both_clouds(dimension, unmatched
     )
     volume, sigma, pose = 7.0, 0.03, np.eye(4)
     start = Start(pose, sigma, unmatched, fastest=1.0, iterations=0, follow=0.0)
-    limits = Limits(floor=1e-3, least_unmatched=0.05, step=1e-3)
+    limits = Limits(floor=1e-3, least_unmatched=0.05, relative_rmse=1e-3)
     (end,) = run_starts(sample(source, 99), sample(target, 99), [start], limits=limits, volume=volume, level=0)
     assert (end.sigma, end.unmatched, end.iterations) == (sigma, unmatched, ())
     free = slice(0, dimension)

@@ -77,7 +77,7 @@ def _add_run(commands) -> None:
     command.add_argument("--output", metavar="DIR", help="where results go (default: output/<recording>)")
     command.add_argument("--workers", type=int, metavar="N", help="for a folder of recordings: local processes")
     command.add_argument("--scheduler", metavar="ADDRESS", help="for a folder of recordings: a Dask cluster instead")
-    command.add_argument("--no-clouds", action="store_true", help="do not write fused clouds")
+    command.add_argument("--no-clouds", action="store_true", help="write neither fused clouds nor textured meshes")
     method = command.add_argument_group("method")
     success = command.add_argument_group("what counts as success")
 

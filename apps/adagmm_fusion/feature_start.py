@@ -1,6 +1,7 @@
 """Where to start from, by what the two colour images show: SIFT features, the source's lifted by its depth."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -18,11 +19,16 @@ MIN_INLIERS = 15
 
 @dataclass(frozen=True, eq=False)
 class FeatureStart:
-    """A pose T_target_source, (4, 4) [m], and how many of how many feature matches agree with it."""
+    """A pose T_target_source, (4, 4) [m], and how many of how many feature matches agree with it.
+
+    points : (inliers, 3) [m], source frame, of the agreeing matches.    pixels : (inliers, 2), in the target's image.
+    """
 
     T_target_source: np.ndarray
     inliers: int
     matches: int
+    points: np.ndarray
+    pixels: np.ndarray
 
 
 def find_feature_start(pair: RGBDPair, *, min_depth_m: float, max_depth_m: float) -> FeatureStart | None:
@@ -35,8 +41,8 @@ def find_feature_start(pair: RGBDPair, *, min_depth_m: float, max_depth_m: float
     ------
     D. Lowe, Distinctive Image Features from Scale-Invariant Keypoints, IJCV 60(2), 2004.
     """
-    source_pixels, source_descriptors = _features(pair.source)
-    target_pixels, target_descriptors = _features(pair.target)
+    source_pixels, source_descriptors = color_features(pair.source)
+    target_pixels, target_descriptors = color_features(pair.target)
     if len(source_pixels) < MIN_INLIERS or len(target_pixels) < MIN_INLIERS:
         return None
     depth = depth_in_range(pair.source, min_depth_m, max_depth_m)
@@ -63,12 +69,15 @@ def find_feature_start(pair: RGBDPair, *, min_depth_m: float, max_depth_m: float
     T = np.eye(4)
     T[:3, :3] = cv2.Rodrigues(rotation)[0]
     T[:3, 3] = translation.ravel()
-    return FeatureStart(T, len(inliers), len(lifted))
+    inliers = inliers.ravel()
+    return FeatureStart(T, len(inliers), len(lifted), lifted[inliers], seen[inliers])
 
 
-def _features(frame: RGBDFrame) -> tuple[list[tuple[float, float]], np.ndarray | None]:
+@lru_cache(maxsize=4)  # a sequence's frames come in several pairs in a row
+def color_features(frame: RGBDFrame, strongest: int = 0) -> tuple[list[tuple[float, float]], np.ndarray | None]:
+    """Pixels (x, y) and (n, 128) descriptors of a colour image's SIFT features; so many, or all of them (0)."""
     gray = cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY)
-    keypoints, descriptors = cv2.SIFT_create().detectAndCompute(gray, None)
+    keypoints, descriptors = cv2.SIFT_create(nfeatures=strongest).detectAndCompute(gray, None)
     return [k.pt for k in keypoints], descriptors
 
 

@@ -63,6 +63,8 @@ class FrameSequence:
 class Recording:
     """Pairs of frames to register: `len(recording)`, `recording[i]`, `for pair in recording`, loaded at each access.
 
+    moving : whether several sensors are on one moving rig; a single sensor is taken to move.
+
     Raises
     ------
     RecordingError  if there is no pair.
@@ -73,6 +75,7 @@ class Recording:
     format: str
     entries: tuple[FrameEntry, ...]
     pairs: tuple[PairEntry, ...]
+    moving: bool = False
 
     def __post_init__(self):
         if not self.pairs:

@@ -1,4 +1,4 @@
-"""What a registered pair is good for: one coloured cloud of both sensors, and the rig as estimated."""
+"""What a registered pair is good for: a coloured cloud and a textured mesh of both sensors, and the estimated rig."""
 
 from pathlib import Path
 
@@ -9,8 +9,11 @@ from adagmm_fusion.atomic_file import replacing
 from adagmm_fusion.clouds import dense_cloud
 from adagmm_fusion.errors import OutputError
 from adagmm_fusion.frames import PinholeIntrinsics, RGBDPair, checked_rigid_transformation
+from adagmm_fusion.meshes.joined_grids import textured_moment
+from adagmm_fusion.meshes.textured_mesh import TexturedMesh
 from adagmm_fusion.pipeline import PairOutcome
 from adagmm_fusion.rig import Rig, SensorCalibration
+from adagmm_o3d.errors import InputError
 
 FUSED_VOXEL_SIZE_M = 0.01
 
@@ -27,6 +30,15 @@ def fused_cloud(
     target = dense_cloud(pair.target, max_depth=max_depth_m)
     source = dense_cloud(pair.source, max_depth=max_depth_m).transform(T_target_source)
     return (target + source).voxel_down_sample(voxel_size_m)
+
+
+def fused_mesh(pair: RGBDPair, T_target_source: np.ndarray, *, max_depth_m: float) -> TexturedMesh | None:
+    """The surface of both frames in the target's camera frame, textured; None where one of them shows no surface."""
+    placed = [(pair.target, np.eye(4)), (pair.source, T_target_source)]
+    try:
+        return textured_moment(placed, max_depth_m=max_depth_m)
+    except InputError:
+        return None
 
 
 def save_cloud(path: Path, cloud: o3d.geometry.PointCloud) -> None:

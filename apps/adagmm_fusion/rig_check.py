@@ -12,7 +12,7 @@ from adagmm_fusion.fusion import mean_pose
 from adagmm_fusion.pipeline import PARTNER_SPACINGS
 from adagmm_fusion.rig import Rig
 from adagmm_fusion.settings import Settings
-from adagmm_o3d import registration_adaptive_gmm
+from adagmm_o3d import lie, registration_adaptive_gmm
 from adagmm_o3d.errors import AdaGMMError
 from adagmm_o3d.evaluation import pose_errors
 
@@ -24,13 +24,19 @@ MIN_FRAMES = 2
 
 @dataclass(frozen=True, eq=False)
 class FrameCheck:
-    """One frame: how far the registered pose is from the rig's, or why it says nothing."""
+    """One frame: how far the registered pose is from the rig's, or why it says nothing.
+
+    rotation_sigma_deg, translation_sigma_mm : standard deviations of the sensor's rotation and place by the pose's own
+        covariance, which knows of noise that is independent from point to point alone.
+    """
 
     frame: str
     rotation_deg: float | None = None
     translation_mm: float | None = None
     T_target_source: np.ndarray | None = None
     reason: str = ""
+    rotation_sigma_deg: float | None = None
+    translation_sigma_mm: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,5 +155,23 @@ def _check_frame(recording: Recording, index: int, T_rig: np.ndarray, settings: 
         return FrameCheck(frame, reason=" ".join(str(problem).split()))
     if not result.trustworthy:
         return FrameCheck(frame, reason="; ".join(result.warnings))
-    moved = pose_errors(T_rig, result.transformation)
-    return FrameCheck(frame, moved.rotation_deg, 1000.0 * moved.translation, np.asarray(result.transformation))
+    T = np.asarray(result.transformation)
+    moved, (sigma_deg, sigma_mm) = pose_errors(T_rig, T), pose_sigmas(result.pose_covariance, T)
+    return FrameCheck(
+        frame,
+        moved.rotation_deg,
+        1000.0 * moved.translation,
+        T,
+        rotation_sigma_deg=sigma_deg,
+        translation_sigma_mm=sigma_mm,
+    )
+
+
+def pose_sigmas(covariance: np.ndarray | None, T: np.ndarray) -> tuple[float | None, float | None]:
+    """Standard deviations of the rotation [deg] and of where the source sensor is [mm], all axes together."""
+    if covariance is None:
+        return None, None
+    # A perturbation (ω, v) on the left moves the sensor's place t by v + ω × t.
+    J = np.hstack((-lie.hat(T[:3, 3]), np.eye(3)))
+    rotation = np.degrees(np.sqrt(np.trace(covariance[:3, :3])))
+    return float(rotation), 1000.0 * float(np.sqrt(np.trace(J @ covariance @ J.T)))

@@ -11,7 +11,9 @@ from rich.console import Console
 
 from adagmm_fusion.commands.progress import progress
 from adagmm_fusion.frame_sequence import Recording
-from adagmm_fusion.fusion import RigEstimate, fused_cloud, save_cloud
+from adagmm_fusion.frames import RGBDPair
+from adagmm_fusion.fusion import RigEstimate, fused_cloud, fused_mesh, save_cloud
+from adagmm_fusion.meshes.textured_mesh import TexturedMesh, save_textured_mesh
 from adagmm_fusion.pair_record import PairRecord, pair_record
 from adagmm_fusion.pipeline import PairOutcome, compile_kernels, run_pairs
 from adagmm_fusion.recording import open_recording
@@ -61,14 +63,13 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
         display.update(task, description=recording.name)
         try:
             for outcome in run_pairs(recording, settings, indices):
+                wanted = outcome.estimate is not None and not (viewer is None and args.no_clouds)
+                mesh = _fused(outcome, settings) if wanted else None
                 if viewer is not None:
-                    viewer.log(outcome)
+                    viewer.log(outcome, mesh)
                 rig_estimate.add(outcome)
-                if outcome.estimate is not None and not args.no_clouds:
-                    name = f"fused/{outcome.pair_name}.ply"
-                    fused = fused_cloud(outcome.pair, outcome.T_estimate, max_depth_m=settings.max_depth_m)
-                    save_cloud(folder / name, fused)
-                    results[f"fused cloud {outcome.pair_name}"] = name
+                if mesh is not None and not args.no_clouds:
+                    results |= _saved(outcome, mesh, folder, settings)
                 records.append(pair_record(outcome))
                 display.advance(task)
         except KeyboardInterrupt:
@@ -122,6 +123,22 @@ def selected_pairs(text: str | None, count: int) -> list[int]:
     return list(dict.fromkeys(indices))
 
 
+def _fused(outcome: PairOutcome, settings: Settings) -> TexturedMesh | None:
+    return fused_mesh(outcome.pair, outcome.T_estimate, max_depth_m=settings.max_depth_m)
+
+
+def _saved(outcome: PairOutcome, mesh: TexturedMesh, folder: Path, settings: Settings) -> dict[str, str]:
+    """Write a pair's fused cloud and textured mesh; names of results and their files in the folder."""
+    stem = f"fused/{outcome.pair_name}"
+    cloud = fused_cloud(outcome.pair, outcome.T_estimate, max_depth_m=settings.max_depth_m)
+    save_cloud(folder / f"{stem}.ply", cloud)
+    save_textured_mesh(folder / f"{stem}.glb", mesh)
+    return {
+        f"fused cloud {outcome.pair_name}": f"{stem}.ply",
+        f"textured mesh {outcome.pair_name}": f"{stem}.glb",
+    }
+
+
 class _Viewer:
     """Logs outcomes to a Rerun stream as they come."""
 
@@ -129,14 +146,17 @@ class _Viewer:
         self._stream, self._many = stream, pair_count > 1
         self._limits = Limits(settings.max_rotation_error_deg, settings.max_translation_error_mm)
         self._next_frame, self._em_step, self._has_eye = 0, 0, False
+        self._before: RGBDPair | None = None
 
-    def log(self, outcome: PairOutcome) -> None:
+    def log(self, outcome: PairOutcome, fused: TexturedMesh | None) -> None:
         frame_index = self._next_frame
         self._next_frame += 1
         shown_as = {"frame_index": frame_index if self._many else None, "em_step": self._em_step}
         if outcome.source_cloud is None:
+            shown_as["before"] = self._before
             self._em_step = log_refused_pair(self._stream, outcome.pair_name, outcome.reason, **shown_as)
             return
+        self._before = outcome.pair
         if not self._has_eye:
             self._has_eye = True
             eye = Eye.behind(np.asarray(outcome.target_cloud.points))
@@ -153,6 +173,7 @@ class _Viewer:
             seconds=outcome.seconds_registration,
             limits=self._limits,
             partner_distance=None if outcome.evaluation is None else outcome.evaluation.partner_distance_m,
+            fused=fused,
         )
 
     def summarize(self, records: list[PairRecord]) -> None:

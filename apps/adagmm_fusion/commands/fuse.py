@@ -1,20 +1,31 @@
-"""`adagmm-fusion fuse`: a whole recording as one coloured mesh."""
+"""`adagmm-fusion fuse`: a whole recording as one coloured or textured mesh."""
 
 import argparse
+import contextlib
+import sys
 from pathlib import Path
 
 from adagmm_fusion.commands.recording_arguments import add_recording_arguments, recording_of
 
+MESHES = ("ply", "glb", "obj")
+
 
 def add(commands) -> None:
+    from adagmm_fusion.rerun_log import add_rerun_arguments
+
     text = (
         "Register the frames of a recording with each other, make their poses consistent with loop closures and a pose "
-        "graph, and fuse them into one coloured mesh. One sensor's path is fused as a whole; of several sensors, what "
-        "they see at one moment. Started again, an interrupted run goes on where it was."
+        "graph, and fuse them into one mesh. What moves, a sensor or a rig of several, is fused as a whole; of sensors "
+        "that stand still, what they see at one moment, or at all of them. Started again, an interrupted run goes on "
+        "where it was."
     )
     command = commands.add_parser("fuse", help="fuse a whole recording into one mesh", description=text)
     add_recording_arguments(command)
-    command.add_argument("--moment", metavar="FRAME", help="of several sensors, which moment (default: the first)")
+    command.add_argument(
+        "--moment",
+        metavar="FRAME",
+        help="of sensors that stand still, which moment is fused, or all, if nothing else moved (default: the first)",
+    )
     command.add_argument("--output", metavar="DIR", help="where results go (default: output/<recording>_fused)")
     command.add_argument(
         "--poses",
@@ -29,14 +40,21 @@ def add(commands) -> None:
         "--max-depth", type=float, default=5.0, metavar="METRES", help="farther is ignored (default: %(default)g)"
     )
     command.add_argument(
+        "--target-points", type=int, default=3500, metavar="N", help="points a cloud to register (default: %(default)s)"
+    )
+    command.add_argument(
         "--max-memory", type=float, default=2000.0, metavar="MB", help="for the voxels (default: %(default)g)"
     )
     command.add_argument(
-        "--mesh", choices=("ply", "glb"), default="ply", help="format of the mesh (default: %(default)s)"
+        "--mesh",
+        choices=MESHES,
+        default="glb",
+        help="ply: a colour at each vertex; glb, obj: the colour images as texture (default: %(default)s)",
     )
     command.add_argument(
         "--device", choices=("auto", "cpu", "cuda"), default="auto", help="where the kernels run (default: %(default)s)"
     )
+    add_rerun_arguments(command.add_argument_group("Rerun", "Shows or saves the mesh and the sensors' ways as well."))
     command.set_defaults(run=run)
 
 
@@ -47,69 +65,111 @@ def run(args: argparse.Namespace) -> int:
     ------
     AdaGMMError  if the recording cannot be used, the poses are not known, or a result cannot be written.
     """
-    from adagmm_fusion.commands.progress import progress_bar
-    from adagmm_fusion.sequence.registration import scene_of
-    from adagmm_fusion.sequence.tsdf import TSDFVolume, save_mesh
+    # With --stdout the Rerun recording goes there, and what is said to stderr.
+    with contextlib.redirect_stdout(sys.stderr) if args.stdout else contextlib.nullcontext():
+        _fuse(args)
+    return 0
+
+
+def _fuse(args: argparse.Namespace) -> None:
+    from adagmm_fusion.commands.progress import staged_progress_bar
+    from adagmm_fusion.sequence.fused_mesh import fuse_frames, save_fused_mesh
+    from adagmm_fusion.sequence.scene import scene_of
     from adagmm_fusion.settings import Settings
 
     recording = recording_of(args)
     scene = scene_of(recording, args.moment)
     folder = Path(args.output) if args.output else Path("output") / f"{recording.path.resolve().name}_fused"
-    volume = TSDFVolume(args.voxel_size, max_depth_m=args.max_depth, max_memory_mb=args.max_memory)
-    settings = Settings(max_depth_m=args.max_depth, device=args.device)
+    settings = Settings(max_depth_m=args.max_depth, target_points=args.target_points, device=args.device)
     if args.poses == "truth":
-        poses = {index: recording.entries[index].T_world_camera for index in scene.frames}
+        poses = {index: recording.entries[index].T_world_camera for index in scene.places}
         poses = {index: pose for index, pose in poses.items() if pose is not None}
     else:
         poses = _estimated(recording, scene, settings, folder)
-    left_out = [recording.entries[index].name for index in scene.frames if index not in poses]
-    with progress_bar("fusing") as report:
-        for done, index in enumerate(sorted(poses)):
-            report(done, len(poses))
-            volume.integrate(recording.entries[index].load(), poses[index])
-    path = folder / f"mesh.{args.mesh}"
-    mesh = volume.mesh()
-    save_mesh(path, mesh)
+    placed = {index: poses[scene.place_of[index]] for index in scene.frames if scene.place_of[index] in poses}
+    left_out = [recording.entries[index].name for index in scene.frames if index not in placed]
+    with staged_progress_bar() as report:
+        mesh, note = fuse_frames(
+            recording,
+            placed,
+            textured=args.mesh != "ply",
+            voxel_size_m=args.voxel_size,
+            max_depth_m=args.max_depth,
+            max_memory_mb=args.max_memory,
+            progress=report,
+        )
+    paths = save_fused_mesh(folder / f"mesh.{args.mesh}", mesh)
     if left_out:
         print(f"left out, their pose is not known: {len(left_out)} frames ({', '.join(left_out[:5])})")
-    print(f"mesh: {path}, {volume.frames} frames, {len(mesh.triangles)} triangles, {volume.memory_mb:.0f} MB of voxels")
-    return 0
+    print(f"mesh: {', '.join(map(str, paths))}, {len(placed)} frames, {len(mesh.triangles)} triangles, {note}")
+    if args.save or args.connect or args.serve or args.url or args.stdout:
+        _show(args, recording, mesh, placed)
+
+
+def _show(args: argparse.Namespace, recording, mesh, placed: dict) -> None:
+    """Log the mesh and the way of each sensor to Rerun, as the arguments say."""
+    import numpy as np
+
+    from adagmm_fusion.rerun_log import fused_blueprint, log_fused_recording, open_stream
+
+    ways = {
+        sensor: np.array([pose[:3, 3] for i, pose in placed.items() if recording.entries[i].sensor == sensor])
+        for sensor in dict.fromkeys(recording.entries[index].sensor for index in placed)
+    }
+    with open_stream(args, recording.name, fused_blueprint(mesh.vertices)) as stream:
+        log_fused_recording(stream, mesh, ways)
 
 
 def _estimated(recording, scene, settings, folder: Path) -> dict:
-    """T_world_camera of the frames that hold together, the first one's camera frame being the world.
+    """T_world_camera of the places that hold together, the first one's camera frame being the world.
 
     What was found out about them is printed and written.
     """
     from dataclasses import asdict
 
-    from adagmm_fusion.commands.progress import progress_bar
+    from adagmm_fusion.commands.progress import staged_progress_bar
     from adagmm_fusion.sequence.edge_file import EdgeFile
-    from adagmm_fusion.sequence.pose_graph import best_connected, optimized_poses
-    from adagmm_fusion.sequence.registration import fixed_voxel_size, register_scene
-    from adagmm_fusion.sequence.trajectory import save_trajectory, true_and_estimated
-    from adagmm_fusion.sequence.trajectory_errors import trajectory_errors
+    from adagmm_fusion.sequence.pose_graph import connected_sets, optimized_poses
+    from adagmm_fusion.sequence.registration import register_scene
+    from adagmm_fusion.sequence.scene import fixed_voxel_size, placed_edges
 
     entries = recording.entries
     settings = fixed_voxel_size(entries[scene.frames[0]].load(), settings)
     of = {"recording": str(recording.path.resolve()), "format": recording.format, "settings": asdict(settings)}
-    file = EdgeFile(folder / "registrations.jsonl", of | {"frames": [entries[i].name for i in scene.frames]})
+    file = EdgeFile(folder / "registrations.jsonl", of | {"frames": [entries[i].name for i in scene.place_of]})
     if file.edges:
         print(f"resumed: {len(file.edges)} registrations are there")
-    with progress_bar("registering") as report:
+    with staged_progress_bar() as report:
         register_scene(recording, scene, settings, file, report)
-    first = best_connected(file.edges, scene.frames)
-    poses, dropped = optimized_poses(file.edges, first=first)
+    edges = placed_edges(scene, file.edges)
+    sets = connected_sets(edges, scene.places)
+    poses, dropped = optimized_poses(edges, first=sets[0][0])
     used = [edge for edge in file.edges if edge.usable]
     loops = sum(edge.loop_closure for edge in used)
-    print(f"registered: {len(used)} of {len(file.edges)}; loop closures: {loops}, of which dropped as wrong: {dropped}")
-    save_trajectory(folder / "trajectory.txt", recording, poses)
-    print(f"trajectory: {folder / 'trajectory.txt'}")
+    print(f"registered: {len(used)} of {len(file.edges)}; may be wrong: {loops}, of which dropped as wrong: {dropped}")
+    if len(sets) > 1:
+        print(f"frames that hang together: sets of {', '.join(str(len(s)) for s in sets)}; the first is fused")
+    if scene.rig:
+        print(f"known from the rig: {len(scene.rig)} poses between its sensors")
+    for sensor in recording.sensors:
+        of_sensor = {index: pose for index, pose in poses.items() if entries[index].sensor == sensor}
+        if scene.paths and of_sensor:
+            name = "trajectory" if len(recording.sensors) == 1 else f"trajectory_{sensor}"
+            _conclude_path(recording, of_sensor, folder / f"{name}.txt")
+    return poses
+
+
+def _conclude_path(recording, poses: dict, path: Path) -> None:
+    """Write one sensor's trajectory, and print how far it is from the true one, where that is known."""
+    from adagmm_fusion.sequence.trajectory import save_trajectory, true_and_estimated
+    from adagmm_fusion.sequence.trajectory_errors import trajectory_errors
+
+    save_trajectory(path, recording, poses)
+    print(f"trajectory: {path}")
     true, estimated = true_and_estimated(recording, poses)
-    if len(true) >= 3 and scene.is_path:
+    if len(true) >= 3:
         e = trajectory_errors(true, estimated)
         print(
             f"against the ground truth: ATE {1000 * e.ate_m:.1f} mm, RPE {1000 * e.rpe_m:.1f} mm and "
             f"{e.rpe_deg:.2f}° a frame (root mean square, {e.poses} poses)"
         )
-    return poses

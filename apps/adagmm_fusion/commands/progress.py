@@ -20,3 +20,11 @@ def progress_bar(description: str) -> Iterator[Callable[[int, int], None]]:
     with progress() as display:
         task = display.add_task(description, total=None)
         yield lambda done, total: display.update(task, completed=done, total=total)
+
+
+@contextmanager
+def staged_progress_bar() -> Iterator[Callable[[str, int, int], None]]:
+    """As progress_bar, of work in stages; call what is yielded with the stage, how many are done, and of how many."""
+    with progress() as display:
+        task = display.add_task("", total=None)
+        yield lambda stage, done, total: display.update(task, description=stage, completed=done, total=total)

@@ -88,13 +88,21 @@ def _table(check):
 
     table = Table()
     for heading in ("frame", "rotation [°]", "translation [mm]", ""):
-        table.add_column(heading, justify="left" if heading in ("frame", "") else "right", overflow="fold")
+        table.add_column(Text(heading), justify="left" if heading in ("frame", "") else "right", overflow="fold")
     for frame in check.frames:
         moved = ["", ""]
         if frame.T_target_source is not None:
-            moved = [f"{frame.rotation_deg:.2f}", f"{frame.translation_mm:.1f}"]
+            moved = [
+                _with_sigma(frame.rotation_deg, frame.rotation_sigma_deg, 2),
+                _with_sigma(frame.translation_mm, frame.translation_sigma_mm, 1),
+            ]
         table.add_row(Text(frame.frame), *moved, Text(frame.reason))
     return table
+
+
+def _with_sigma(value: float, sigma: float | None, digits: int) -> str:
+    """The value and its standard deviation by the pose covariance, where there is one."""
+    return f"{value:.{digits}f}" + ("" if sigma is None else f" ± {sigma:.{digits}f}")
 
 
 def _sentence(check) -> str:
@@ -104,5 +112,5 @@ def _sentence(check) -> str:
     return (
         f"{check.source} against {check.target}: {check.verdict}, {check.rotation_deg:.2f}° ± "
         f"{check.rotation_spread_deg:.2f}° and {check.translation_mm:.1f} mm ± {check.translation_spread_mm:.1f} mm "
-        "from the rig file (± is the spread over frames)"
+        "from the rig file (± is the spread over frames; in the table, what each pose's own covariance says)"
     )

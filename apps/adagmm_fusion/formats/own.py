@@ -68,9 +68,8 @@ def read(folder: Path, options: ReadOptions) -> Recording:
         pairs = _read_pairs(keys["pairs"], entries)
     else:
         pairs = _default_pairs(len(frames), len(sensors), options.step)
-    return Recording(
-        keys["name"].text(), folder, NAME, tuple(entries), tuple(_within_rig(p, entries, rig) for p in pairs)
-    )
+    pairs = tuple(_within_rig(pair, entries, rig) for pair in pairs)
+    return Recording(keys["name"].text(), folder, NAME, tuple(entries), pairs, moving)
 
 
 def _load(folder: Path, frame: str, sensor: SensorCalibration, timestamp: float | None) -> RGBDFrame:

@@ -15,6 +15,7 @@ and for a script, which gets before, after, every iteration and the curves:
 """
 
 from adagmm_fusion.rerun_log.blueprint import dashboard, script_dashboard, send_blueprint
+from adagmm_fusion.rerun_log.fused_recording import fused_blueprint, log_fused_recording
 from adagmm_fusion.rerun_log.iterations import log_estimate_iterations
 from adagmm_fusion.rerun_log.pair import log_pair, log_refused_pair
 from adagmm_fusion.rerun_log.properties import log_recording_properties
@@ -33,7 +34,9 @@ __all__ = [
     "When",
     "add_rerun_arguments",
     "dashboard",
+    "fused_blueprint",
     "log_estimate_iterations",
+    "log_fused_recording",
     "log_pair",
     "log_recording_properties",
     "log_recording_summary",

@@ -23,7 +23,7 @@ BEFORE = dict.fromkeys((TARGET.shape, INITIAL_SOURCE.shape))
 AFTER = dict.fromkeys((TARGET.shape, SOURCE.shape))
 COVARIANCES = {TARGET.points: DIMMED, TARGET.covariances: None, SOURCE.covariances: None}
 MARKS = (entities.DIFFERENCE, entities.UNOBSERVABLE)
-RESULT = dict.fromkeys((TARGET.mesh, SOURCE.mesh, *(sensor.image for sensor in SENSORS), *MARKS))
+RESULT = dict.fromkeys((entities.FUSED, *(sensor.image for sensor in SENSORS), *MARKS))
 
 
 def dashboard(*, many_pairs: bool = False, eye: Eye = DEFAULT_EYE, page: str | None = None) -> rrb.Blueprint:

@@ -8,7 +8,6 @@ from adagmm_fusion.rerun_log.entities import SOURCE, TARGET, Sensor
 from adagmm_fusion.rerun_log.when import When
 
 JPEG_QUALITY = 90
-BLANK_SIDE = 8
 FRUSTUM_DEPTH = 0.3
 FRUSTUM_LINE_WIDTH = 0.012
 MILLIMETRES_PER_METRE = 1000.0
@@ -19,14 +18,19 @@ def transform_archetype(T: np.ndarray) -> rr.Transform3D:
     return rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
 
 
-def log_blank_images(rec, when: When) -> None:
-    """Black in all image views: the viewer goes on showing an encoded image after a `Clear`."""
-    black = rr.Image(np.zeros((BLANK_SIDE, BLANK_SIDE, 3), dtype=np.uint8)).compress(jpeg_quality=JPEG_QUALITY)
-    for entity in (TARGET.rgb, SOURCE.rgb, TARGET.overlay, TARGET.checkerboard):
+def log_blank_images(rec, target_size: tuple[int, int], source_size: tuple[int, int], when: When) -> None:
+    """Black in all image views, of the (width, height) of the images before.
+
+    The viewer goes on showing an encoded image after a `Clear`, and takes those of an entity for a video, whose size
+    must not change.
+    """
+    sizes = {TARGET.rgb: target_size, TARGET.overlay: target_size, TARGET.checkerboard: target_size}
+    for entity, (width, height) in (sizes | {SOURCE.rgb: source_size}).items():
+        black = rr.Image(np.zeros((height, width, 3), dtype=np.uint8)).compress(jpeg_quality=JPEG_QUALITY)
         when.log(rec, entity, black)
-    nothing = np.zeros((BLANK_SIDE, BLANK_SIDE), dtype=np.uint16)
-    for entity in (TARGET.depth, SOURCE.depth):
-        when.log(rec, entity, rr.DepthImage(nothing, meter=MILLIMETRES_PER_METRE).compress())
+    for sensor, (width, height) in ((TARGET, target_size), (SOURCE, source_size)):
+        nothing = np.zeros((height, width), dtype=np.uint16)
+        when.log(rec, sensor.depth, rr.DepthImage(nothing, meter=MILLIMETRES_PER_METRE).compress())
 
 
 def log_pose(rec, sensor: Sensor, T: np.ndarray, when: When) -> None:

@@ -5,6 +5,8 @@
     /world/source             the moving sensor: one transform per EM iteration
     /world/initial/source     where the estimate started
     /world/truth/source       where the calibration puts it
+    /world/fused              the surface of all sensors at the estimate, textured
+    /world/ways/<sensor>      where each frame of a whole recording was taken
 
 A sensor's own data lies below it, in its own frame, and never moves: only the sensor's transform does.
 """
@@ -14,6 +16,8 @@ from dataclasses import dataclass
 WORLD = "world"
 INITIAL = f"{WORLD}/initial"
 TRUTH = f"{WORLD}/truth"
+FUSED = f"{WORLD}/fused"
+WAYS = f"{WORLD}/ways"
 DIFFERENCE = f"{WORLD}/difference"
 UNOBSERVABLE = f"{WORLD}/unobservable"
 
@@ -77,10 +81,6 @@ class Sensor:
     @property
     def points(self) -> str:
         return f"{self.root}/points"
-
-    @property
-    def mesh(self) -> str:
-        return f"{self.root}/mesh"
 
     @property
     def shape(self) -> str:

@@ -1,10 +1,11 @@
-"""Each sensor's depth image as a surface: with its colour image as texture, and in one colour to compare shapes."""
+"""Surfaces: each sensor's depth image in one colour, to compare shapes, and both joined, with their colours."""
 
 import numpy as np
 import rerun as rr
 
 from adagmm_fusion.frames import RGBDFrame
-from adagmm_fusion.mesh import textured_grid
+from adagmm_fusion.meshes.depth_grid import textured_grid
+from adagmm_fusion.meshes.textured_mesh import TexturedMesh
 from adagmm_fusion.rerun_log.clouds import lit_colors
 from adagmm_fusion.rerun_log.when import When
 from adagmm_o3d.errors import InputError
@@ -12,28 +13,27 @@ from adagmm_o3d.errors import InputError
 TWO_SIDED = rr.components.MeshFaceRendering.DoubleSided
 
 
-def surface_of(frame: RGBDFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Vertices (N, 3) [m], triangles (K, 3) and texture coordinates (N, 2), or None where there is no surface."""
+def surface_of(frame: RGBDFrame) -> tuple[np.ndarray, np.ndarray] | None:
+    """Vertices (N, 3) [m] and triangles (K, 3), or None where there is no surface."""
     try:
-        return textured_grid(frame)
+        return textured_grid(frame)[:2]
     except InputError:
         return None
 
 
-def log_textured_mesh(rec: rr.RecordingStream, entity: str, frame: RGBDFrame, surface, when: When) -> None:
-    """Log a frame's surface with its colour image."""
-    if surface is None:
+def log_textured_mesh(rec: rr.RecordingStream, entity: str, mesh: TexturedMesh | None, when: When) -> None:
+    """Log a textured surface; None is nothing to see."""
+    if mesh is None:
         when.clear(rec, entity)
         return
-    vertices, triangles, uvs = surface
-    mesh = rr.Mesh3D(
-        vertex_positions=vertices.astype(np.float32),
-        triangle_indices=triangles.astype(np.uint32),
-        vertex_texcoords=uvs,
-        albedo_texture=frame.color,
+    archetype = rr.Mesh3D(
+        vertex_positions=mesh.vertices,
+        triangle_indices=mesh.triangles.astype(np.uint32),
+        vertex_texcoords=mesh.uvs,
+        albedo_texture=mesh.texture,
         face_rendering=TWO_SIDED,
     )
-    when.log(rec, entity, mesh)
+    when.log(rec, entity, archetype)
 
 
 def log_shape_mesh(rec: rr.RecordingStream, entity: str, surface, color, when: When) -> None:
@@ -41,7 +41,7 @@ def log_shape_mesh(rec: rr.RecordingStream, entity: str, surface, color, when: W
     if surface is None:
         when.clear(rec, entity)
         return
-    vertices, triangles, _ = surface
+    vertices, triangles = surface
     mesh = rr.Mesh3D(
         vertex_positions=vertices.astype(np.float32),
         triangle_indices=triangles.astype(np.uint32),

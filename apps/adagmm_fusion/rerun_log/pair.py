@@ -5,6 +5,7 @@ import open3d as o3d
 import rerun as rr
 
 from adagmm_fusion.frames import RGBDPair
+from adagmm_fusion.meshes.textured_mesh import TexturedMesh
 from adagmm_fusion.rerun_log import entities
 from adagmm_fusion.rerun_log.cameras import log_blank_images, log_frustum, log_images, log_pose
 from adagmm_fusion.rerun_log.clouds import DIMMED, log_points, own_colors, shaded_colors
@@ -44,8 +45,9 @@ def log_pair(
     report: str | None = None,
     limits: Limits = DEFAULT_LIMITS,
     partner_distance: float | None = None,
+    fused: TexturedMesh | None = None,
 ) -> int:
-    """Log one pair: both sensors with images, clouds and textured meshes, every EM iteration, and why it went so.
+    """Log one pair: both sensors with images, clouds and surfaces, every EM iteration, the result and why it is so.
 
     Parameters
     ----------
@@ -60,6 +62,7 @@ def log_pair(
     seconds : what the registration took.
     report : markdown for the report view instead of the standard one.
     partner_distance : how near [m] a target point counts as a partner; None for thrice the target's spacing.
+    fused : both frames as one textured surface at the estimate, in the target's frame, as `textured_moment` makes it.
 
     Returns
     -------
@@ -73,6 +76,7 @@ def log_pair(
     T_estimate = T_initial if estimate is None else np.asarray(estimate.transformation)
 
     _log_sensors(rec, pair, T_initial, when)
+    log_textured_mesh(rec, entities.FUSED, fused, when)
     rows = 1
     if estimate is None:
         log_pose(rec, SOURCE, T_initial, when)
@@ -100,15 +104,23 @@ def log_pair(
 
 
 def log_refused_pair(
-    rec: rr.RecordingStream, name: str, reason: str, *, frame_index: int | None = None, em_step: int = 0
+    rec: rr.RecordingStream,
+    name: str,
+    reason: str,
+    *,
+    before: RGBDPair | None = None,
+    frame_index: int | None = None,
+    em_step: int = 0,
 ) -> int:
-    """Log a pair of which there are no clouds: its report says why, and nothing of the pair before is left to see.
+    """Log a pair of which there are no clouds: its report says why, and nothing of the pair `before` is left to see.
 
     Returns the `em_step` at which the next pair starts.
     """
     when = When(frame_index, em_step)
     when.clear(rec, entities.WORLD)
-    log_blank_images(rec, when)
+    if before is not None:
+        sizes = ((k.width, k.height) for k in (before.target.intrinsics, before.source.intrinsics))
+        log_blank_images(rec, *sizes, when)
     when.clear(rec, entities.DIAGNOSTICS)
     when.clear(rec, entities.CHARTS)
     report = pair_report(name, None, None, status="failed", reason=reason)
@@ -126,7 +138,6 @@ def _log_sensors(rec, pair: RGBDPair, T_initial: np.ndarray, when: When) -> None
     for sensor, frame, color in ((TARGET, pair.target, TARGET_COLOR), (SOURCE, pair.source, SOURCE_COLOR)):
         log_images(rec, sensor, frame, when)
         surface = surface_of(frame)
-        log_textured_mesh(rec, sensor.mesh, frame, surface, when)
         log_shape_mesh(rec, sensor.shape, surface, color, when)
     log_shape_mesh(rec, INITIAL_SOURCE.shape, surface, SOURCE_COLOR, when)
     if pair.T_target_source is None:

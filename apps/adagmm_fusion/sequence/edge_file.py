@@ -11,7 +11,7 @@ import numpy as np
 
 from adagmm_fusion.atomic_file import write_text
 from adagmm_fusion.errors import OutputError
-from adagmm_fusion.sequence.pose_graph import Edge
+from adagmm_fusion.sequence.edges import Edge
 
 FORMAT, VERSION = "adagmm-edges", 1
 
@@ -36,11 +36,12 @@ class EdgeFile:
             self.edges = [_edge(json.loads(line)) for line in lines[1:]]
         except (ValueError, KeyError, TypeError) as problem:
             raise OutputError(f"{self.path}: is damaged ({problem}); delete it to start anew") from problem
+        self._found = {(edge.source, edge.target): edge for edge in self.edges}
         write_text(self.path, "\n".join([header, *lines[1:]]) + "\n")
 
     def find(self, source: int, target: int) -> Edge | None:
         """The edge between two frames, if it was registered."""
-        return next((edge for edge in self.edges if (edge.source, edge.target) == (source, target)), None)
+        return self._found.get((source, target))
 
     def add(self, edge: Edge) -> None:
         """Append an edge to the file."""
@@ -58,6 +59,7 @@ class EdgeFile:
         except OSError as problem:
             raise OutputError(f"{self.path}: cannot be written: {problem.strerror}") from problem
         self.edges.append(edge)
+        self._found[edge.source, edge.target] = edge
 
     def _lines(self) -> list[str]:
         try:

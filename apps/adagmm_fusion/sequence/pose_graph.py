@@ -1,70 +1,122 @@
 """Registrations between frames made into one consistent set of poses by Open3D's global optimisation."""
 
-from dataclasses import dataclass
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 import open3d as o3d
 
 from adagmm_fusion.frames import inverse_rigid
+from adagmm_fusion.sequence.edges import Edge
+from adagmm_o3d import lie
 
 # A loop closure that moves its points farther than this against the rest of the graph is taken for wrong. Drift is what
 # loop closures are there to take out, so it must not be much smaller.
 LOOP_TOLERANCE_M = 0.25
+# Open3D solves for all poses in one dense matrix, so larger graphs are optimised in fragments, and these as a whole.
+MAX_NODES, FRAGMENT_FRAMES = 200, 100
+
+Poses = dict[int, np.ndarray]
 
 
-@dataclass(frozen=True, eq=False)
-class Edge:
-    """One registration between two frames.
-
-    transformation : (4, 4) T_target_source.    information : (6, 6), as adagmm_o3d.evaluation.information_matrix.
-    loop_closure : it may be wrong, and the optimisation may drop it.    reason : why it cannot be used, or empty.
-    """
-
-    source: int
-    target: int
-    transformation: np.ndarray | None
-    information: np.ndarray | None
-    loop_closure: bool
-    reason: str = ""
-
-    @property
-    def usable(self) -> bool:
-        return not self.reason
-
-
-def chained_poses(edges: list[Edge], first: int = 0) -> dict[int, np.ndarray]:
+def chained_poses(edges: Iterable[Edge], first: int = 0) -> Poses:
     """T_first_frame of each frame that usable edges lead to, over few of them, sure ones before others."""
+    usable = [edge for edge in edges if edge.usable]
     poses = {first: np.eye(4)}
-    for pool in ([e for e in edges if e.usable and not e.loop_closure], [e for e in edges if e.usable]):
+    for pool in ([edge for edge in usable if not edge.loop_closure], usable):
+        ends = defaultdict(list)
+        for edge in pool:
+            ends[edge.source].append((edge, edge.target))
+            ends[edge.target].append((edge, edge.source))
         reached = list(poses)
         while reached:
             following = []
             for frame in reached:
-                for edge in pool:
-                    if edge.source == frame and edge.target not in poses:
-                        poses[edge.target] = poses[frame] @ inverse_rigid(edge.transformation)
-                        following.append(edge.target)
-                    elif edge.target == frame and edge.source not in poses:
-                        poses[edge.source] = poses[frame] @ edge.transformation
-                        following.append(edge.source)
+                for edge, other in ends[frame]:
+                    if other not in poses:
+                        forward = other == edge.source
+                        T = edge.transformation if forward else inverse_rigid(edge.transformation)
+                        poses[other] = poses[frame] @ T
+                        following.append(other)
             reached = following
     return poses
 
 
-def best_connected(edges: list[Edge], frames: tuple[int, ...]) -> int:
-    """The first frame of the largest set of frames that usable edges hold together."""
-    left, best = list(frames), {}
-    while left:
-        reached = chained_poses(edges, left[0])
-        left = [frame for frame in left if frame not in reached]
-        best = max(best, reached, key=len)
-    return min(best)
-
-
-def optimized_poses(edges: list[Edge], *, first: int = 0) -> tuple[dict[int, np.ndarray], int]:
+def optimized_poses(edges: list[Edge], *, first: int = 0) -> tuple[Poses, int]:
     """T_first_frame of each frame that can be reached, and how many loop closures were dropped as wrong."""
     start = chained_poses(edges, first)
     used = [edge for edge in edges if edge.usable and edge.source in start and edge.target in start]
+    if len(start) <= MAX_NODES:
+        return _optimized(start, used)
+    fragments, dropped_inside = _fragments(start, used)
+    fragment_of = {frame: number for number, fragment in enumerate(fragments) for frame in fragment}
+    between = [_between(edge, fragments, fragment_of) for edge in used if _crosses(edge, fragment_of)]
+    placed, dropped = _optimized(chained_poses(between, fragment_of[first]), between)
+    poses = {frame: placed[fragment_of[frame]] @ fragments[fragment_of[frame]][frame] for frame in start}
+    T_first_world = inverse_rigid(poses[first])
+    return {frame: T_first_world @ pose for frame, pose in poses.items()}, dropped + dropped_inside
+
+
+def connected_sets(edges: Iterable[Edge], frames: Iterable[int]) -> list[list[int]]:
+    """The frames in sets that usable edges hold together, each in order, the largest first."""
+    parent = {frame: frame for frame in frames}
+
+    def root(frame: int) -> int:
+        while parent[frame] != frame:
+            parent[frame] = frame = parent[parent[frame]]
+        return frame
+
+    for edge in edges:
+        if edge.usable and edge.source in parent and edge.target in parent:
+            a, b = root(edge.source), root(edge.target)
+            parent[max(a, b)] = min(a, b)
+    found = defaultdict(list)
+    for frame in sorted(parent):
+        found[root(frame)].append(frame)
+    return sorted(found.values(), key=len, reverse=True)
+
+
+def _fragments(start: Poses, used: list[Edge]) -> tuple[list[Poses], int]:
+    """Poses of each fragment's frames in the frame of its first, and how many loop closures were dropped.
+
+    A fragment's frames follow each other and hang together.
+    """
+    frames, fragments, dropped = sorted(start), [], 0
+    for i in range(0, len(frames), FRAGMENT_FRAMES):
+        some = frames[i : i + FRAGMENT_FRAMES]
+        for together in connected_sets(used, some):
+            members = set(together)
+            inside = [edge for edge in used if edge.source in members and edge.target in members]
+            poses, dropped_here = _optimized(chained_poses(inside, together[0]), inside)
+            fragments.append(poses)
+            dropped += dropped_here
+    return fragments, dropped
+
+
+def _crosses(edge: Edge, fragment_of: dict[int, int]) -> bool:
+    return fragment_of[edge.source] != fragment_of[edge.target]
+
+
+def _between(edge: Edge, fragments: list[Poses], fragment_of: dict[int, int]) -> Edge:
+    """An edge between two frames as one between their fragments."""
+    source, target = fragment_of[edge.source], fragment_of[edge.target]
+    T_target_frame, T_source_frame = fragments[target][edge.target], fragments[source][edge.source]
+    # Open3D weighs motions in the source frame with the information: in the fragment's frame these look otherwise.
+    adjoint = lie.se_adjoint(inverse_rigid(T_source_frame))
+    return replace(
+        edge,
+        source=source,
+        target=target,
+        transformation=T_target_frame @ edge.transformation @ inverse_rigid(T_source_frame),
+        information=adjoint.T @ edge.information @ adjoint,
+    )
+
+
+def _optimized(start: Poses, used: list[Edge]) -> tuple[Poses, int]:
+    """The poses of a connected graph from where they are in `start`, whose first one stays; loop closures dropped."""
+    if len(start) < 2 or len(used) < len(start):
+        return start, 0  # a tree: nothing contradicts anything
     nodes = {frame: i for i, frame in enumerate(start)}
     registration = o3d.pipelines.registration
     graph = registration.PoseGraph()
@@ -76,8 +128,6 @@ def optimized_poses(edges: list[Edge], *, first: int = 0) -> tuple[dict[int, np.
                 nodes[edge.source], nodes[edge.target], edge.transformation, edge.information, edge.loop_closure
             )
         )
-    if len(nodes) < 3 or len(used) < len(nodes):
-        return start, 0  # a tree: nothing contradicts anything
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         registration.global_optimization(
             graph,

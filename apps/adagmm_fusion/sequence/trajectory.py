@@ -10,8 +10,8 @@ from adagmm_fusion.frame_sequence import Recording
 
 
 def save_trajectory(path: Path, recording: Recording, poses: dict[int, np.ndarray]) -> None:
-    """Write TUM's format, which evo reads: "timestamp tx ty tz qx qy qz qw", T_world_camera [m]; without timestamps the
-    frame's number stands for it. Raises OutputError if it cannot be written."""
+    """Write TUM's format, which evo reads: "timestamp tx ty tz qx qy qz qw", T_world_camera [m] of one sensor's frames;
+    without timestamps the frame's number stands for it. Raises OutputError if it cannot be written."""
     lines = ["# timestamp tx ty tz qx qy qz qw, camera to world, metres"]
     timed = all(recording.entries[index].timestamp is not None for index in poses)
     for index in sorted(poses):

@@ -2,15 +2,14 @@
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 import open3d as o3d
 
 from adagmm_fusion.atomic_file import replacing
-from adagmm_fusion.depth_geometry import depth_edges, depth_in_range
 from adagmm_fusion.errors import OutputError
-from adagmm_fusion.frames import PinholeIntrinsics, RGBDFrame, inverse_rigid
-from adagmm_fusion.sequence.glb_file import glb_bytes
+from adagmm_fusion.frames import RGBDFrame, inverse_rigid
+from adagmm_fusion.meshes.glb_file import colored_glb
+from adagmm_fusion.meshes.pinhole_images import pinhole_images
 from adagmm_o3d.errors import InputError
 
 BLOCK_RESOLUTION = 8  # voxels a side
@@ -55,7 +54,8 @@ class TSDFVolume:
         ------
         InputError  if the voxels would need more memory than allowed.
         """
-        depth, color = _undistorted(frame, self.max_depth_m)
+        depth, color = pinhole_images(frame, self.max_depth_m)
+        color = np.ascontiguousarray(color.astype(np.float32) / 255.0)
         images = [o3d.t.geometry.Image(o3d.core.Tensor(image)) for image in (depth, color)]
         matrices = (o3d.core.Tensor(m) for m in (frame.intrinsics.matrix(), inverse_rigid(T_world_camera)))
         K, T_camera_world = matrices
@@ -74,7 +74,7 @@ class TSDFVolume:
 
     def mesh(self) -> o3d.geometry.TriangleMesh:
         """The surface with normals and colours 0..1, small islands left out. Raises InputError if there is none."""
-        weight = 1.0 if self.frames < 6 else 2.0
+        weight = 0.5 if self.frames < 6 else 2.0
         surface = self._grid.extract_triangle_mesh(weight_threshold=weight) if self.frames else None
         mesh = o3d.geometry.TriangleMesh() if surface is None else surface.to_legacy()
         if len(mesh.triangles):
@@ -96,21 +96,6 @@ def save_mesh(path: Path, mesh: o3d.geometry.TriangleMesh) -> None:
     with replacing(path) as temporary:
         if path.suffix.lower() == ".glb":
             arrays = (mesh.vertices, mesh.vertex_normals, mesh.vertex_colors, mesh.triangles)
-            temporary.write_bytes(glb_bytes(*map(np.asarray, arrays)))
+            temporary.write_bytes(colored_glb(*map(np.asarray, arrays)))
         elif not o3d.io.write_triangle_mesh(str(temporary), mesh):
             raise OutputError(f"{path}: cannot be written")
-
-
-def _undistorted(frame: RGBDFrame, max_depth_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """(H, W) float32 depth [m], 0 for none, and (H, W, 3) float32 colour 0..1, as a camera without distortion sees."""
-    depth = depth_in_range(frame, 0.1, max_depth_m)
-    depth[depth_edges(depth, frame.intrinsics)] = np.nan
-    depth = np.nan_to_num(depth).astype(np.float32)
-    color = frame.color
-    k: PinholeIntrinsics = frame.intrinsics
-    if k.distorted:
-        size = (k.width, k.height)
-        maps = cv2.initUndistortRectifyMap(k.matrix(), np.array(k.distortion), None, k.matrix(), size, cv2.CV_32FC1)
-        depth = cv2.remap(depth, *maps, cv2.INTER_NEAREST)
-        color = cv2.remap(color, *maps, cv2.INTER_LINEAR)
-    return depth, np.ascontiguousarray(color.astype(np.float32) / 255.0)

@@ -1,0 +1,164 @@
+"""One RealSense .bag file: a ROS 1 bag as librealsense records it.
+
+/device_0/sensor_<n>/Depth_0/image/data, .../Color_0/image/data     sensor_msgs/Image: mono16; rgb8, bgr8, rgba8, bgra8
+.../Depth_0/info, .../Color_0/info                                  realsense_msgs/StreamInfo: frames a second
+.../info/camera_info                                                sensor_msgs/CameraInfo: intrinsics
+.../tf/0                                                            geometry_msgs/Transform: common frame to stream
+/device_0/sensor_<n>/option/Depth Units/value                       std_msgs/Float32: metres
+
+Open3D's RSBagReader reads ahead in another thread: after seeking, its frames have another frame's colour, depth or
+time, and which ones changes from run to run. So the messages are read one by one here, by their times.
+"""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.rosbag1 import Reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.spatial.transform import Rotation
+
+from adagmm_fusion.depth_registration import register_depth
+from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.frames import PinholeIntrinsics, inverse_rigid
+from adagmm_o3d.errors import InputError
+
+STREAM_INFO = "uint32 fps\nstring encoding\nbool is_recommended\n"
+DEPTH_ENCODINGS = ("mono16", "16UC1")
+# Where the colour channels are in each encoding.
+COLOR_CHANNELS = {"rgb8": [0, 1, 2], "bgr8": [2, 1, 0], "rgba8": [0, 1, 2], "bgra8": [2, 1, 0]}
+# The model whose coefficients are OpenCV's; of the others they are left out.
+OPENCV_MODEL = "brown conrady"
+
+
+class BagStream:
+    """Colour and depth of one camera, by time; depth is registered to the colour image where it is not yet.
+
+    intrinsics : of the colour image.    depth_scale : units per metre.    fps : of the depth.    seconds : how long.
+
+    Raises
+    ------
+    RecordingError  if the file is no such bag, or damaged.
+    """
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+        self._types = get_typestore(Stores.ROS1_NOETIC)
+        self._types.register(get_types_from_msg(STREAM_INFO, "realsense_msgs/msg/StreamInfo"))
+        self._reader = Reader(Path(path))
+        try:
+            self._reader.open()
+        except Exception as problem:  # rosbags raises whatever the damage leads to
+            raise RecordingError(f"{path}: is no ROS bag, or cut off or damaged: {_one_line(problem)}") from problem
+        self._topics = {connection.topic: connection for connection in self._reader.connections}
+        depth, color = self._stream("Depth"), self._stream("Color")
+        self._images = {"Depth": f"{depth}/image/data", "Color": f"{color}/image/data"}
+        self._times = {name: self._times_of(topic) for name, topic in self._images.items()}
+        self.fps = float(self._first(f"{depth}/info").fps)
+        self.depth_scale = self._depth_scale(depth)
+        self._depth_intrinsics, self.intrinsics = self._intrinsics(depth), self._intrinsics(color)
+        self._T_color_depth = self._T_stream_common(color) @ inverse_rigid(self._T_stream_common(depth))
+        if self.fps <= 0:
+            raise RecordingError(f"{path}: expected a positive frame rate, got {self.fps:g}")
+        self.seconds = (self._times["Depth"][-1] - self._times["Depth"][0]) / 1e9 + 1.0 / self.fps
+
+    def at(self, seconds: float) -> tuple[np.ndarray, np.ndarray, float]:
+        """RGB (H, W, 3), depth (H, W) and time [s] of the first depth image from a time on, with the nearest colour.
+
+        Raises
+        ------
+        RecordingError  if there is none, or no colour within a frame of it, or an image is not as expected.
+        """
+        depth_times, color_times = self._times["Depth"], self._times["Color"]
+        # A frame is a little late or early: half a frame counts as the frame.
+        index = int(np.searchsorted(depth_times, depth_times[0] + 1e9 * (seconds - 0.5 / self.fps)))
+        if index == len(depth_times):
+            raise RecordingError(f"{self.path}: no frame with colour and depth at {seconds:.3f} s or later")
+        nearest = int(np.argmin(np.abs(color_times - depth_times[index])))
+        apart = abs(int(color_times[nearest] - depth_times[index])) / 1e9
+        if apart > 1.0 / self.fps:
+            raise RecordingError(f"{self.path}: the colour nearest to {seconds:.3f} s is {1000 * apart:.0f} ms away")
+        depth = self._image("Depth", depth_times[index])
+        color = self._image("Color", color_times[nearest])
+        if not (self._depth_intrinsics == self.intrinsics and np.allclose(self._T_color_depth, np.eye(4), atol=1e-6)):
+            registered = register_depth(
+                depth, self._depth_intrinsics, _ideal(self.intrinsics), self._T_color_depth, self.depth_scale
+            )
+            depth = np.floor(registered + 0.5).astype(np.uint16)
+        return color, depth, float(depth_times[index] - depth_times[0]) / 1e9
+
+    def _stream(self, name: str) -> str:
+        found = [t for t in self._topics if re.fullmatch(rf"/device_0/sensor_\d+/{name}_0/image/data", t)]
+        if not found:
+            raise RecordingError(f"{self.path}: expected a RealSense recording with {name}_0 images, there are none")
+        return found[0].removesuffix("/image/data")
+
+    def _times_of(self, topic: str) -> np.ndarray:
+        times = np.array([entry.time for entry in self._reader.indexes[self._topics[topic].id]], dtype=np.int64)
+        if not len(times):
+            raise RecordingError(f"{self.path}: there is no image in {topic}")
+        return np.sort(times)
+
+    def _first(self, topic: str, time: int | None = None) -> Any:
+        if topic not in self._topics:
+            raise RecordingError(f"{self.path}: {topic} is missing; record it anew with RealSense's own tools")
+        connection = self._topics[topic]
+        stop = None if time is None else time + 1
+        try:
+            _, _, data = next(self._reader.messages([connection], time, stop))
+            return self._types.deserialize_ros1(data, connection.msgtype)
+        except Exception as problem:  # rosbags raises whatever the damage leads to
+            raise RecordingError(f"{self.path}: {topic}: is damaged: {_one_line(problem)}") from problem
+
+    def _depth_scale(self, depth: str) -> float:
+        units = float(self._first(f"{depth.rpartition('/')[0]}/option/Depth Units/value").data)
+        if not 0 < units < float("inf"):
+            raise RecordingError(f"{self.path}: expected positive Depth Units [m], got {units}")
+        return float(np.round(1.0 / units, 3))  # stored as float32
+
+    def _intrinsics(self, stream: str) -> PinholeIntrinsics:
+        info = self._first(f"{stream}/info/camera_info")
+        opencvs = info.distortion_model.lower().replace("_", " ") == OPENCV_MODEL
+        distortion = tuple(map(float, info.D)) if opencvs and np.any(info.D) else ()
+        try:
+            return PinholeIntrinsics(info.width, info.height, info.K[0], info.K[4], info.K[2], info.K[5], distortion)
+        except InputError as problem:
+            raise RecordingError(f"{self.path}: {stream}/info/camera_info: {problem}") from problem
+
+    def _T_stream_common(self, stream: str) -> np.ndarray:
+        tf = self._first(f"{stream}/tf/0")
+        T = np.eye(4)
+        quaternion = tf.rotation.x, tf.rotation.y, tf.rotation.z, tf.rotation.w
+        try:
+            T[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
+        except ValueError as problem:
+            raise RecordingError(f"{self.path}: {stream}/tf/0: expected a rotation, got {quaternion}") from problem
+        T[:3, 3] = tf.translation.x, tf.translation.y, tf.translation.z
+        return T
+
+    def _image(self, name: str, time: int) -> np.ndarray:
+        """(H, W) uint16 depth, or (H, W, 3) uint8 RGB."""
+        message = self._first(self._images[name], int(time))
+        known = DEPTH_ENCODINGS if name == "Depth" else tuple(COLOR_CHANNELS)
+        if message.encoding not in known:
+            raise RecordingError(f"{self.path}: expected {name} as {', '.join(known)}, got {message.encoding!r}")
+        order = ">" if message.is_bigendian else "<"
+        kind, channels = (f"{order}u2", 1) if name == "Depth" else ("u1", len(message.encoding.removesuffix("8")))
+        try:
+            rows = np.asarray(message.data).reshape(message.height, message.step)
+            pixels = np.ascontiguousarray(rows[:, : message.width * channels * np.dtype(kind).itemsize]).view(kind)
+            image = pixels.reshape(message.height, message.width, channels)
+        except ValueError as problem:
+            raise RecordingError(f"{self.path}: {name} at {time} ns is not whole: {problem}") from problem
+        if name == "Depth":
+            return image[:, :, 0].astype(np.uint16)
+        return np.ascontiguousarray(image[:, :, COLOR_CHANNELS[message.encoding]])
+
+
+def _ideal(k: PinholeIntrinsics) -> PinholeIntrinsics:
+    return PinholeIntrinsics(k.width, k.height, k.fx, k.fy, k.cx, k.cy)
+
+
+def _one_line(problem: Exception) -> str:
+    return " ".join(str(problem).split()) or type(problem).__name__

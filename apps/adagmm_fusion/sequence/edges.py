@@ -1,0 +1,86 @@
+"""One registration between two frames of a sequence, as an edge of the pose graph."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from adagmm_fusion.clouds import MIN_DEPTH
+from adagmm_fusion.feature_start import find_feature_start
+from adagmm_fusion.frames import RGBDPair
+from adagmm_fusion.pipeline import register_pair
+from adagmm_fusion.sequence.confirmation import depth_confirms, features_confirm
+from adagmm_fusion.settings import Settings
+from adagmm_o3d.evaluation import information_matrix, overlap_ratio
+
+# One wrong pose bends the whole path, so geometry that the colour images do not confirm must overlap this much; where
+# they do confirm it, it only has to be there.
+MIN_OVERLAP_ALONE, MIN_OVERLAP_CONFIRMED = 0.6, 0.15
+# A rig's extrinsics hold its sensors together as this many point pairs a metre away would, more than any registration.
+RIG_POINTS = 1e5
+
+
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """One registration between two frames.
+
+    transformation : (4, 4) T_target_source.    information : (6, 6), as adagmm_o3d.evaluation.information_matrix.
+    loop_closure : it may be wrong, and the optimisation may drop it.    reason : why it cannot be used, or empty.
+    """
+
+    source: int
+    target: int
+    transformation: np.ndarray | None
+    information: np.ndarray | None
+    loop_closure: bool
+    reason: str = ""
+
+    @property
+    def usable(self) -> bool:
+        return not self.reason
+
+
+def rig_edge(source: int, target: int, T_target_source: np.ndarray) -> Edge:
+    """Two sensors of one rig at one moment, by its extrinsics."""
+    return Edge(source, target, T_target_source, RIG_POINTS * np.eye(6), False)
+
+
+def registered_edge(
+    pair: RGBDPair, source: int, target: int, settings: Settings, *, loop_closure: bool, confirmed_only: bool = False
+) -> Edge:
+    """Register a pair; with `confirmed_only`, only if its colour images agree on a pose that the depth confirms.
+
+    Where they do, the shape may leave directions of the pose free: the features hold those, and if the registration has
+    slid along them, the features' own pose is the edge's.
+    """
+
+    def refused(reason: str) -> Edge:
+        return Edge(source, target, None, None, loop_closure, reason)
+
+    features = find_feature_start(pair, min_depth_m=MIN_DEPTH, max_depth_m=settings.max_depth_m)
+    if features is not None and not depth_confirms(features, pair.target, settings.max_depth_m):
+        features = None
+    if features is None and confirmed_only:
+        return refused("the colours do not confirm that they show the same place")
+    outcome = register_pair(pair, settings if features is not None else replace(settings, start="geometry"))
+    if outcome.estimate is None:
+        return refused(outcome.reason)
+    T = np.asarray(outcome.T_estimate)
+    clouds = [np.asarray(cloud.points) for cloud in (outcome.source_cloud, outcome.target_cloud)]
+    distance = partner_distance(settings)
+    if features is not None:
+        if not features_confirm(features, pair.target, T):
+            T = features.T_target_source
+        overlap = overlap_ratio(*clouds, T, distance)
+        if overlap < MIN_OVERLAP_CONFIRMED:
+            return refused(f"overlap {overlap:.2f} is below {MIN_OVERLAP_CONFIRMED:g}")
+    elif outcome.status != "ok":
+        return refused(outcome.reason)
+    elif outcome.evaluation.overlap < MIN_OVERLAP_ALONE:
+        overlap = outcome.evaluation.overlap
+        return refused(f"overlap {overlap:.2f} is below {MIN_OVERLAP_ALONE:g} and the colours do not confirm it")
+    return Edge(source, target, T, information_matrix(*clouds, distance, T), loop_closure)
+
+
+def partner_distance(settings: Settings) -> float:
+    """How near points count as partners in the information matrices [m]; the same for all of a graph."""
+    return settings.partner_distance_m or 1.5 * settings.voxel_size_m

@@ -119,8 +119,9 @@ def test_leaving_out_far_tiles_changes_nothing_worth_mentioning(dimension, isotr
 
 @shapes
 @pytest.mark.parametrize("sigma", [3e-4, 1e-2])
-def test_leaving_out_far_points_changes_the_posteriors_by_less_than_a_millionth(dimension, isotropic, sigma):
-    # Some hundred points a cluster are left out one by one, and whole tiles and groups with them.
+def test_leaving_out_far_points_changes_the_posteriors_by_no_more_than_float32_does(dimension, isotropic, sigma):
+    # Points are left out one by one, and whole tiles and groups of them. At σ = 3e-4 the rounding of coordinates alone
+    # changes the weight of a pair that is some deviations apart by 1e-5.
     case = Case(12, 700, 1500, dimension, isotropic)
     uniform, mutuality = 0.05, 0.5
     S, T = sigma * reference.turn(case.source_covariances, case.R), sigma * case.target_covariances
@@ -129,10 +130,10 @@ def test_leaving_out_far_points_changes_the_posteriors_by_less_than_a_millionth(
     expected = reference.posterior_sums(*args, columns, mutuality)
     sums = case.loop.posterior_sums(lift(case.pose), sigma, uniform, mutuality)
     free, scale = FREE[dimension], np.abs(expected.hessian).max()
-    np.testing.assert_allclose([sums.weight, sums.energy], [expected.weight, expected.energy], rtol=1e-6, atol=0)
-    np.testing.assert_allclose(sums.hessian[np.ix_(free, free)], expected.hessian, rtol=1e-5, atol=1e-6 * scale)
-    np.testing.assert_allclose(sums.gradient[free], expected.gradient, rtol=1e-5, atol=1e-6 * scale)
-    np.testing.assert_allclose(sums.column_densities, expected.column_densities, rtol=2e-6, atol=1e-6)
+    np.testing.assert_allclose([sums.weight, sums.energy], [expected.weight, expected.energy], rtol=5e-6, atol=0)
+    np.testing.assert_allclose(sums.hessian[np.ix_(free, free)], expected.hessian, rtol=1e-5, atol=3e-6 * scale)
+    np.testing.assert_allclose(sums.gradient[free], expected.gradient, rtol=1e-5, atol=3e-6 * scale)
+    np.testing.assert_allclose(sums.column_densities, expected.column_densities, rtol=3e-5, atol=1e-6)
 
 
 @shapes

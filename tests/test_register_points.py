@@ -40,7 +40,7 @@ class Motion:
     def register(self, **kwargs):
         return register_points(self.source, self.target, self.source_covariances, self.target_covariances, **kwargs)
 
-    def assert_found(self, result, *, rotation_deg=None, translation=0.02):
+    def assert_found(self, result, *, rotation_deg=None, translation=0.025):
         errors = pose_errors(self.T, result.transformation)
         assert errors.rotation_deg < (rotation_deg or ROTATION_DEG[self.dimension])
         assert errors.translation < translation

@@ -3,4 +3,4 @@
 import warnings
 
 # Open3D brings an older TBB than Numba wants; Numba then takes OpenMP, which is as good here, and need not say so.
-warnings.filterwarnings("ignore", message="The TBB threading layer requires TBB version")
+warnings.filterwarnings("ignore", message=r".*The TBB threading layer requires TBB version")

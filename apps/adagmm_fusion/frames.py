@@ -11,6 +11,7 @@ import numpy as np
 from adagmm_o3d.errors import InputError, InputTypeError
 
 DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
+MAX_COORDINATE = 1e12  # metres; products of a few such numbers are finite
 DEPTH_DTYPES = (np.dtype(np.uint16), np.dtype(np.float32), np.dtype(np.float64))
 
 
@@ -19,8 +20,9 @@ def checked_rigid_transformation(transformation, name: str, *, tolerance: float 
 
     Raises
     ------
-    InputError  if the shape is not (4, 4), a value is not finite, the last row is not 0 0 0 1, or the upper left block
-        differs from its nearest rotation by more than `tolerance` in any entry (a mirror, a scale and a shear do).
+    InputError  if the shape is not (4, 4), a value is not finite or beyond MAX_COORDINATE, the last row is not 0 0 0 1,
+        or the upper left block differs from its nearest rotation by more than `tolerance` in any entry (a mirror, a
+        scale and a shear do).
     """
     try:
         T = np.array(transformation, dtype=np.float64)
@@ -32,6 +34,8 @@ def checked_rigid_transformation(transformation, name: str, *, tolerance: float 
         raise InputError(f"{name}: expected finite numbers, got NaN or infinity")
     if np.abs(T[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-9:
         raise InputError(f"{name}: expected 0 0 0 1 in the last row, got {' '.join(f'{x:g}' for x in T[3])}")
+    if np.abs(T).max() > MAX_COORDINATE:
+        raise InputError(f"{name}: expected numbers up to {MAX_COORDINATE:g}, got {np.abs(T).max():g}; check the units")
     left, _, right = np.linalg.svd(T[:3, :3])
     rotation = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
     off = np.abs(T[:3, :3] - rotation).max()
@@ -158,7 +162,8 @@ class RGBDFrame:
 
     def depth_m(self) -> np.ndarray:
         """(H, W) float32 metres, NaN where there is no depth: the only place where depth changes its unit."""
-        metres = (self.depth.astype(np.float64) / self.depth_scale).astype(np.float32)
+        with np.errstate(over="ignore"):  # too far for a float32 is no depth
+            metres = (self.depth.astype(np.float64) / self.depth_scale).astype(np.float32)
         metres[~(np.isfinite(metres) & (metres > 0))] = np.nan
         return metres
 

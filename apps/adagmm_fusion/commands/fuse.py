@@ -47,14 +47,21 @@ def run(args: argparse.Namespace) -> int:
     ------
     AdaGMMError  if the recording cannot be used, the poses are not known, or a result cannot be written.
     """
+    from adagmm_fusion.output_folder import exclusive
+
+    recording = recording_of(args)
+    folder = Path(args.output) if args.output else Path("output") / f"{recording.path.resolve().name}_fused"
+    with exclusive(folder):
+        return _fuse(args, recording, folder)
+
+
+def _fuse(args: argparse.Namespace, recording, folder: Path) -> int:
     from adagmm_fusion.commands.progress import progress_bar
     from adagmm_fusion.sequence.registration import scene_of
     from adagmm_fusion.sequence.tsdf import TSDFVolume, save_mesh
     from adagmm_fusion.settings import Settings
 
-    recording = recording_of(args)
     scene = scene_of(recording, args.moment)
-    folder = Path(args.output) if args.output else Path("output") / f"{recording.path.resolve().name}_fused"
     volume = TSDFVolume(args.voxel_size, max_depth_m=args.max_depth, max_memory_mb=args.max_memory)
     settings = Settings(max_depth_m=args.max_depth, device=args.device)
     if args.poses == "truth":

@@ -12,6 +12,7 @@ from adagmm_o3d.errors import InputError, InputTypeError
 
 DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 MAX_COORDINATE = 1e12  # metres; products of a few such numbers are finite
+MAX_PX = 1e9  # of a focal length or principal point; the inverse of a focal length is bounded as well
 DEPTH_DTYPES = (np.dtype(np.uint16), np.dtype(np.float32), np.dtype(np.float64))
 
 
@@ -66,8 +67,8 @@ class PinholeIntrinsics:
 
     Raises
     ------
-    InputError  if a size is not a positive integer, a focal length not positive, a value not finite, or the number of
-        coefficients not 0, 4, 5, 8, 12 or 14.
+    InputError  if a size is not a positive integer, a focal length not positive, a value not finite or beyond MAX_PX,
+        or the number of coefficients not 0, 4, 5, 8, 12 or 14.
     """
 
     width: int
@@ -86,8 +87,11 @@ class PinholeIntrinsics:
             object.__setattr__(self, name, int(value))
         for name in ("fx", "fy", "cx", "cy"):
             object.__setattr__(self, name, _finite(getattr(self, name), f"intrinsics.{name}"))
-            if name in ("fx", "fy") and getattr(self, name) <= 0:
-                raise InputError(f"intrinsics.{name}: expected a positive focal length, got {getattr(self, name):g}")
+            value = getattr(self, name)
+            if name in ("fx", "fy") and value <= 0:
+                raise InputError(f"intrinsics.{name}: expected a positive focal length, got {value:g}")
+            if abs(value) > MAX_PX or (name in ("fx", "fy") and value < 1.0 / MAX_PX):
+                raise InputError(f"intrinsics.{name}: expected pixels, up to {MAX_PX:g}, got {value:g}")
         distortion = tuple(_finite(k, f"intrinsics.distortion[{i}]") for i, k in enumerate(self.distortion))
         if len(distortion) not in DISTORTION_LENGTHS:
             wanted = ", ".join(map(str, DISTORTION_LENGTHS))

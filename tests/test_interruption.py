@@ -4,6 +4,7 @@ that is started again ends as if nothing had happened."""
 import json
 import shutil
 import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -140,6 +141,26 @@ def test_killed_a_hundred_times_and_resumed(uninterrupted, killable, room, tmp_p
 def test_a_command_that_is_stopped_says_so_in_one_line(killable, room, tmp_path, number, code, word):
     outcome = killable.run(*command("simulate", room, tmp_path / "out"), number=number, after=0.3)
     assert (outcome.code, outcome.err, outcome.out) == (code, f"adagmm-fusion: {word}\n", "")
+
+
+@pytest.mark.parametrize("program", ["adagmm_fusion", "adagmm_bench"])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_stopped_while_it_is_still_importing(program, number, code, tmp_path):
+    script = (
+        "import sys\n"
+        f"from {program}.cli import main\n"
+        "assert 'open3d' not in sys.modules and 'cv2' not in sys.modules\n"
+        "class Finder:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == 'open3d':\n"
+        "            import os\n"
+        f"            os.kill(os.getpid(), {int(number)})\n"
+        "sys.meta_path.insert(0, Finder())\n"
+        "sys.exit(main(['--version']))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=300, check=False)
+    assert (done.returncode, done.stdout) == (code, "")
+    assert done.stderr.count("\n") == 1 and done.stderr.startswith(program.replace("_", "-"))
 
 
 # No room

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from adagmm_fusion.interruption import exit_code, sigterm_as_interrupt
+from adagmm_fusion.interruption import exit_code, heard_afterwards, sigterm_as_interrupt
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -67,9 +67,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run_command(arguments: Sequence[str] | None) -> int:
-    from adagmm_fusion.errors import AdaGMMError, one_line
+    with heard_afterwards():
+        from adagmm_fusion.errors import AdaGMMError, one_line
 
-    parsed = build_parser().parse_args(arguments)
+        command_line = build_parser()
+    parsed = command_line.parse_args(arguments)
     try:
         return parsed.run(parsed)
     except AdaGMMError as error:

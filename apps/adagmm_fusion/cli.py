@@ -1,6 +1,6 @@
 """The command `adagmm-fusion`. Known errors end here: one line on stderr, exit code 1; so do Ctrl-C and SIGTERM.
 
-Little is imported before Ctrl-C is heard: Open3D and Numba take a second.
+Little is imported before signals are heard: Open3D and Numba take a second.
 """
 
 import argparse
@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import fields
 from importlib import metadata
 
-from adagmm_fusion.interruption import Terminated, exit_code, sigterm_as_interrupt
+from adagmm_fusion.interruption import Terminated, exit_code, heard_afterwards, sigterm_as_interrupt
 
 SETTINGS_OPTIONS = {
     "sensor_model": "--sensor-model",
@@ -37,9 +37,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run_command(arguments: Sequence[str] | None) -> int:
-    from adagmm_fusion.errors import AdaGMMError, one_line
+    with heard_afterwards():
+        from adagmm_fusion.errors import AdaGMMError, one_line
 
-    args = parser().parse_args(arguments)
+        command_line = parser()
+    args = command_line.parse_args(arguments)
     try:
         return args.run(args)
     except AdaGMMError as problem:

@@ -16,9 +16,27 @@ def exit_code(stop: KeyboardInterrupt) -> int:
 
 
 @contextmanager
+def heard_afterwards() -> Iterator[None]:
+    """Within, Ctrl-C and SIGTERM are put off to the end: an import that is interrupted fails in some way of its own."""
+    if threading.current_thread() is not threading.main_thread():  # only there can handlers be set
+        yield
+        return
+    heard: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda number, _: heard.append(number)) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if heard:
+        signal.raise_signal(heard[0])
+
+
+@contextmanager
 def sigterm_as_interrupt() -> Iterator[None]:
     """Within, SIGTERM raises Terminated, once: what is then done to keep results is not disturbed by another one."""
-    if threading.current_thread() is not threading.main_thread():  # only there can handlers be set
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
 

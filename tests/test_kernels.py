@@ -6,7 +6,7 @@ import pytest
 import reference
 from mixtures import random_points_and_covariances, random_pose
 
-from adagmm_o3d.kernels.culling import CHUNK, CLUSTER, TILE
+from adagmm_o3d.kernels.culling import CHUNK, CLUSTER, GROUP, TILE
 from adagmm_o3d.kernels.exp2 import exp2_float32
 from adagmm_o3d.kernels.pair_loop import PairLoop
 from adagmm_o3d.mixture import make_mixture
@@ -115,6 +115,21 @@ def test_leaving_out_far_tiles_changes_nothing_worth_mentioning(dimension, isotr
     np.testing.assert_allclose(
         sums.energy, reference.energy(C, case.y, case.B, case.target, case.A), rtol=1e-4, atol=1e-4
     )
+
+
+@shapes
+def test_whole_groups_of_far_tiles_are_left_out_and_nothing_else(dimension, isotropic):
+    case = Case(8, 20, 3 * GROUP * TILE + 5, dimension, isotropic)
+    sigma, uniform = 3e-3, 0.05
+    S, T = sigma * reference.turn(case.source_covariances, case.R), sigma * case.target_covariances
+    nothing = np.zeros(len(case.target))
+    expected = reference.posterior_sums(case.y, S, case.target, T, uniform, nothing, 0.0)
+    sums, column_densities = case.loop.posterior_sums(lift(case.pose), sigma, uniform)
+    posterior = expected.densities / (expected.densities + uniform)
+    np.testing.assert_allclose(sums.row_weights, posterior, rtol=2e-5, atol=1e-6)
+    most = expected.column_densities.max()
+    np.testing.assert_allclose(column_densities, expected.column_densities, rtol=2e-5, atol=1e-6 * most)
+    np.testing.assert_allclose([sums.weight, sums.energy], [expected.weight, expected.energy], rtol=2e-5, atol=0)
 
 
 @shapes

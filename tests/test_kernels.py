@@ -132,6 +132,29 @@ def test_whole_groups_of_far_tiles_are_left_out_and_nothing_else(dimension, isot
     np.testing.assert_allclose([sums.weight, sums.energy], [expected.weight, expected.energy], rtol=2e-5, atol=0)
 
 
+def seen(source, target, sigma):
+    """Whether source points have any density of the target at them at all."""
+    loop = PairLoop(make_mixture("source", source, None), make_mixture("target", target, None))
+    return loop.posterior_sums(np.eye(4), sigma, 1e-12)[0].row_weights > 0.5
+
+
+def test_the_variances_of_both_sides_reach_to_far_tiles():
+    # Where a pair weighs exp(-10): within the reach of 2^-24, beyond what one of the two variances reaches.
+    rng = np.random.default_rng(0)
+    near, far = 1e-3 * rng.normal(size=(CLUSTER, 3)), [1.0, 0.0, 0.0] + 1e-3 * rng.normal(size=(TILE, 3))
+    assert seen(near, far, 1.0 / 40.0).all()
+    assert not seen(near, far, 1.0 / 400.0).any()
+
+
+def test_the_first_of_far_tiles_behind_a_group_left_out_is_seen():
+    line = np.linspace(0.0, 2.0, 2 * GROUP * TILE, endpoint=False)
+    target = np.stack([line, 1e-4 * np.sin(1e3 * line), 1e-4 * np.cos(1e3 * line)], axis=1)
+    # At the beginning of each tile of the second group in turn.
+    for tile in range(GROUP, 2 * GROUP):
+        source = np.tile(target[tile * TILE + TILE // 2], (CLUSTER, 1))
+        assert seen(source + 1e-5 * np.random.default_rng(tile).normal(size=source.shape), target, 1e-6).all()
+
+
 @shapes
 @pytest.mark.parametrize(("m", "n"), [(3, 3), (CHUNK + 5, 3 * TILE + 1), (500, 2000)])
 def test_nearest_distances_match_the_naive_reference(dimension, isotropic, m, n):

@@ -9,5 +9,14 @@ from hypothesis import settings
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 sys.path.insert(0, str(Path(__file__).parent))
 
+if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
+    # Two instructions that only the compiler knows.
+    import numpy as np
+
+    from adagmm_o3d.kernels import exp2
+
+    exp2._floor = np.floor
+    exp2._as_float32 = lambda bits: np.int32(bits).view(np.float32)
+
 settings.register_profile("seeded", derandomize=True, deadline=None)
 settings.load_profile("seeded")

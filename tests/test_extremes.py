@@ -12,6 +12,7 @@ from mixtures import random_pose
 from shapes import bumpy, move
 
 from adagmm_o3d import (
+    DegenerateError,
     InputError,
     TransformationEstimationForAdaptiveGMM,
     mark_outliers,
@@ -24,6 +25,7 @@ from adagmm_o3d.options import SigmaRuleName
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning", "error::DeprecationWarning")
 rules = pytest.mark.parametrize("rule", get_args(SigmaRuleName))
 N = 300
+TEN = o3d.pipelines.registration.ICPConvergenceCriteria(max_iteration=10)
 
 
 def with_rule(rule, **kwargs):
@@ -140,6 +142,23 @@ def test_three_points_against_very_many(cloud, rule):
     for source, target in ((many[:3], move(many, T)), (many, move(many[:3], T))):
         result = register_points(source, target, estimation_method=with_rule(rule))
         assert_finite(result)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_one_point_against_very_many(dimension):
+    many = bumpy(np.random.default_rng(2), 100_000, dimension)
+    for clouds, name in (((many[:1], many), "source"), ((many, many[:1]), "target")):
+        with pytest.raises(DegenerateError, match=rf"^{name}\.points: 1 points cannot fix a pose"):
+            register_points(*clouds)
+
+
+def test_a_million_points(cloud):
+    _, T = cloud
+    rng = np.random.default_rng(2)
+    many, few = bumpy(rng, 1_000_000, 3), bumpy(rng, 300, 3)
+    result = register_points(many, move(few, T), init=T, criteria=TEN)
+    assert_right_or_doubted(result, T)
+    assert result.row_weights.shape == (1_000_000,)
 
 
 def test_three_points_against_themselves(cloud):

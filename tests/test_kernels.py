@@ -6,7 +6,7 @@ import pytest
 import reference
 from mixtures import random_points_and_covariances, random_pose
 
-from adagmm_o3d.kernels.culling import CHUNK, CLUSTER, TILE
+from adagmm_o3d.kernels.culling import CHUNK, CLUSTER, GROUP, TILE
 from adagmm_o3d.kernels.exp2 import exp2_float32
 from adagmm_o3d.kernels.pair_loop import PairLoop
 from adagmm_o3d.mixture import make_mixture
@@ -106,9 +106,10 @@ def test_posterior_sums_match_the_naive_reference(dimension, isotropic, mutualit
 
 
 @shapes
-def test_leaving_out_far_tiles_changes_nothing_worth_mentioning(dimension, isotropic):
-    # Clouds 100 times wider than a component reaches: so nearly every tile is skipped.
-    case = Case(2, 400, 900, dimension, isotropic, sigmas=(2e-4, 1e-4))
+@pytest.mark.parametrize("sigmas", [(2e-4, 1e-4), (3e-3, 1e-7), (1e-7, 3e-3)])
+def test_leaving_out_far_tiles_changes_nothing_worth_mentioning(dimension, isotropic, sigmas):
+    # Clouds much wider than a component reaches: so nearly every tile is skipped. The vaguer side reaches farther.
+    case = Case(2, 400, 900, dimension, isotropic, sigmas=sigmas)
     C = reference.pair_weights(case.y, case.B, case.target, case.A) / case.unit()
     sums = case.sums()
     np.testing.assert_allclose(sums.weight, C.sum(), rtol=1e-5, atol=1e-6)
@@ -134,6 +135,44 @@ def test_leaving_out_far_points_changes_the_posteriors_by_no_more_than_float32_d
     np.testing.assert_allclose(sums.hessian[np.ix_(free, free)], expected.hessian, rtol=1e-5, atol=3e-6 * scale)
     np.testing.assert_allclose(sums.gradient[free], expected.gradient, rtol=1e-5, atol=3e-6 * scale)
     np.testing.assert_allclose(sums.column_densities, expected.column_densities, rtol=3e-5, atol=1e-6)
+
+
+@shapes
+def test_whole_groups_of_far_tiles_are_left_out_and_nothing_else(dimension, isotropic):
+    case = Case(8, 20, 3 * GROUP * TILE + 5, dimension, isotropic)
+    sigma, uniform = 3e-3, 0.05
+    S, T = sigma * reference.turn(case.source_covariances, case.R), sigma * case.target_covariances
+    nothing = np.zeros(len(case.target))
+    expected = reference.posterior_sums(case.y, S, case.target, T, uniform, nothing, 0.0)
+    sums = case.loop.posterior_sums(lift(case.pose), sigma, uniform)
+    posterior = expected.densities / (expected.densities + uniform)
+    np.testing.assert_allclose(sums.row_weights, posterior, rtol=2e-5, atol=1e-6)
+    most = expected.column_densities.max()
+    np.testing.assert_allclose(sums.column_densities, expected.column_densities, rtol=2e-5, atol=1e-6 * most)
+    np.testing.assert_allclose([sums.weight, sums.energy], [expected.weight, expected.energy], rtol=2e-5, atol=0)
+
+
+def seen(source, target, sigma):
+    """Whether source points have any density of the target at them at all."""
+    loop = PairLoop(make_mixture("source", source, None), make_mixture("target", target, None))
+    return loop.posterior_sums(np.eye(4), sigma, 1e-12).row_weights > 0.5
+
+
+def test_the_variances_of_both_sides_reach_to_far_tiles():
+    # Where a pair weighs exp(-10): within the reach of 2^-24, beyond what one of the two variances reaches.
+    rng = np.random.default_rng(0)
+    near, far = 1e-3 * rng.normal(size=(CLUSTER, 3)), [1.0, 0.0, 0.0] + 1e-3 * rng.normal(size=(TILE, 3))
+    assert seen(near, far, 1.0 / 40.0).all()
+    assert not seen(near, far, 1.0 / 400.0).any()
+
+
+def test_the_first_of_far_tiles_behind_a_group_left_out_is_seen():
+    line = np.linspace(0.0, 2.0, 2 * GROUP * TILE, endpoint=False)
+    target = np.stack([line, 1e-4 * np.sin(1e3 * line), 1e-4 * np.cos(1e3 * line)], axis=1)
+    # At the beginning of each tile of the second group in turn.
+    for tile in range(GROUP, 2 * GROUP):
+        source = np.tile(target[tile * TILE + TILE // 2], (CLUSTER, 1))
+        assert seen(source + 1e-5 * np.random.default_rng(tile).normal(size=source.shape), target, 1e-6).all()
 
 
 @shapes

@@ -8,16 +8,15 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from adagmm_bench.commands import ablation, gpu, kinect, methods_list, recordings, replay, simulations, speed
-from adagmm_o3d.errors import AdaGMMError
-
-INTERRUPTED = 130
+from adagmm_fusion.interruption import exit_code, heard_afterwards, sigterm_as_interrupt
 
 
 def build_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="adagmm-bench", description="The paper's experiments, with other registration methods beside ours."
     )
+    from adagmm_bench.commands import ablation, gpu, kinect, methods_list, recordings, replay, simulations, speed
+
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     def add(name: str, summary: str, add_arguments: Callable, run: Callable) -> None:
@@ -53,16 +52,28 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; 0 when it did what it was asked to, 1 on an error or a regression, 2 on wrong usage."""
-    parsed = build_parser().parse_args(arguments)
+    """Run one command; 0 when it did what it was asked to, 1 on an error or a regression, 2 on wrong usage; 130 after
+    Ctrl-C, 143 after SIGTERM.
+    """
     try:
-        return parsed.run(parsed)
-    except AdaGMMError as error:
-        print(f"adagmm-bench: {' '.join(str(error).split())}", file=sys.stderr)
-        return 1
+        with sigterm_as_interrupt():
+            return _run_command(arguments)
     except BrokenPipeError:  # the reader of our output has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
         print("adagmm-bench: stopped; the same command goes on from here", file=sys.stderr)
-        return INTERRUPTED
+        return exit_code(stop)
+
+
+def _run_command(arguments: Sequence[str] | None) -> int:
+    with heard_afterwards():
+        from adagmm_fusion.errors import AdaGMMError, one_line
+
+        command_line = build_parser()
+    parsed = command_line.parse_args(arguments)
+    try:
+        return parsed.run(parsed)
+    except AdaGMMError as error:
+        print(f"adagmm-bench: {one_line(error)}", file=sys.stderr)
+        return 1

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import fcntl
 import json
+import os
 from pathlib import Path
 
 from adagmm_fusion.errors import OutputError
@@ -14,7 +15,7 @@ from adagmm_o3d.errors import InputError
 
 
 class Journal:
-    """Records by their "key", appended to a file that one process at a time may hold open.
+    """Records by their "key", appended to a file that one process at a time may hold open; `fresh`: emptied first.
 
     Raises
     ------
@@ -22,12 +23,14 @@ class Journal:
     InputError   if a line other than the last is not a record (file and line are named).
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, fresh: bool = False) -> None:
         self.path = path
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = open(path, "a+b")  # noqa: SIM115  closed by __exit__
+            self._file = open(path, "a+b", buffering=0)  # noqa: SIM115  closed by __exit__
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if fresh:
+                self._file.truncate(0)
         except BlockingIOError as error:
             self._file.close()
             raise OutputError(f"{path}: another run is writing here; give this one another --output") from error
@@ -46,10 +49,20 @@ class Journal:
         self._file.close()
 
     def append(self, record: dict) -> None:
-        """Add a record, or replace the one of its key. It is in the file when this returns."""
-        line = json.dumps(record, allow_nan=False, separators=(",", ":")).encode() + b"\n"
-        self._file.write(line)
-        self._file.flush()
+        """Add a record, or replace the one of its key. It is in the file when this returns.
+
+        Raises
+        ------
+        OutputError  if there is no room for it; the file holds what it held before.
+        """
+        left = json.dumps(record, allow_nan=False, separators=(",", ":")).encode() + b"\n"
+        whole = self._file.seek(0, os.SEEK_END)
+        try:
+            while left:
+                left = left[self._file.write(left) :]
+        except OSError as error:
+            self._file.truncate(whole)
+            raise OutputError(f"{self.path}: cannot be written: {error.strerror}") from error
         self.records[record["key"]] = record
 
     def _read(self) -> dict[str, dict]:

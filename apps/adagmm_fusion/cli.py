@@ -1,4 +1,7 @@
-"""The command `adagmm-fusion`. Known errors end here: one line on stderr, exit code 1."""
+"""The command `adagmm-fusion`. Known errors end here: one line on stderr, exit code 1; so do Ctrl-C and SIGTERM.
+
+Little is imported before signals are heard: Open3D and Numba take a second.
+"""
 
 import argparse
 import sys
@@ -6,8 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import fields
 from importlib import metadata
 
-from adagmm_fusion.commands import calibrate, convert, convert_rig, fuse, info, verify
-from adagmm_o3d.errors import AdaGMMError
+from adagmm_fusion.interruption import Terminated, exit_code, heard_afterwards, sigterm_as_interrupt
 
 SETTINGS_OPTIONS = {
     "sensor_model": "--sensor-model",
@@ -26,19 +28,31 @@ SETTINGS_OPTIONS = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    args = parser().parse_args(arguments)
+    try:
+        with sigterm_as_interrupt():
+            return _run_command(arguments)
+    except KeyboardInterrupt as stop:
+        print(f"adagmm-fusion: {'terminated' if isinstance(stop, Terminated) else 'interrupted'}", file=sys.stderr)
+        return exit_code(stop)
+
+
+def _run_command(arguments: Sequence[str] | None) -> int:
+    with heard_afterwards():
+        from adagmm_fusion.errors import AdaGMMError, one_line
+
+        command_line = parser()
+    args = command_line.parse_args(arguments)
     try:
         return args.run(args)
     except AdaGMMError as problem:
-        print(f"adagmm-fusion: {' '.join(str(problem).split())}", file=sys.stderr)
+        print(f"adagmm-fusion: {one_line(problem)}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        print("adagmm-fusion: interrupted", file=sys.stderr)
-        return 130
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line's grammar."""
+    from adagmm_fusion.commands import calibrate, convert, convert_rig, fuse, info, verify
+
     top = argparse.ArgumentParser(prog="adagmm-fusion", description="Register and fuse recorded RGB-D pairs.")
     top.add_argument("--version", action="version", version=f"%(prog)s {metadata.version('adagmm-o3d')}")
     commands = top.add_subparsers(required=True, metavar="COMMAND")

@@ -2,6 +2,8 @@
 
 from adagmm_o3d.errors import AdaGMMError, InputError
 
+__all__ = ["AdaGMMError", "OutputError", "RecordingError", "RigError", "one_line"]
+
 
 class RecordingError(InputError):
     """A recording is missing something, or holds something that cannot be used."""
@@ -9,6 +11,12 @@ class RecordingError(InputError):
 
 class RigError(InputError):
     """A rig file cannot be used, or lacks a sensor that is asked for."""
+
+
+def one_line(problem: Exception) -> str:
+    """A message as it can be printed: what it quotes from a file, or a file's name, may hold anything."""
+    text = " ".join(str(problem).split())
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 class OutputError(AdaGMMError, OSError):

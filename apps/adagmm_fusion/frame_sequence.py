@@ -67,7 +67,7 @@ class Recording:
 
     Raises
     ------
-    RecordingError  if there is no pair.
+    RecordingError  if there is no pair, or a name cannot be printed.
     """
 
     name: str
@@ -78,6 +78,9 @@ class Recording:
     moving: bool = False
 
     def __post_init__(self):
+        for name in dict.fromkeys([self.name, *(n for entry in self.entries for n in (entry.sensor, entry.name))]):
+            if not name.isprintable():
+                raise RecordingError(f"{self.path}: the name {name!a} cannot be printed; rename it")
         if not self.pairs:
             raise RecordingError(
                 f"{self.path}: no pair of frames to register, there is {len(self.entries)} frame(s) in all; "

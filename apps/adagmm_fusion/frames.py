@@ -11,6 +11,8 @@ import numpy as np
 from adagmm_o3d.errors import InputError, InputTypeError
 
 DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
+MAX_COORDINATE = 1e12  # metres; products of a few such numbers are finite
+MAX_PX = 1e9  # of a focal length or principal point; the inverse of a focal length is bounded as well
 DEPTH_DTYPES = (np.dtype(np.uint16), np.dtype(np.float32), np.dtype(np.float64))
 
 
@@ -19,8 +21,9 @@ def checked_rigid_transformation(transformation, name: str, *, tolerance: float 
 
     Raises
     ------
-    InputError  if the shape is not (4, 4), a value is not finite, the last row is not 0 0 0 1, or the upper left block
-        differs from its nearest rotation by more than `tolerance` in any entry (a mirror, a scale and a shear do).
+    InputError  if the shape is not (4, 4), a value is not finite or beyond MAX_COORDINATE, the last row is not 0 0 0 1,
+        or the upper left block differs from its nearest rotation by more than `tolerance` in any entry (a mirror, a
+        scale and a shear do).
     """
     try:
         T = np.array(transformation, dtype=np.float64)
@@ -32,6 +35,8 @@ def checked_rigid_transformation(transformation, name: str, *, tolerance: float 
         raise InputError(f"{name}: expected finite numbers, got NaN or infinity")
     if np.abs(T[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-9:
         raise InputError(f"{name}: expected 0 0 0 1 in the last row, got {' '.join(f'{x:g}' for x in T[3])}")
+    if np.abs(T).max() > MAX_COORDINATE:
+        raise InputError(f"{name}: expected numbers up to {MAX_COORDINATE:g}, got {np.abs(T).max():g}; check the units")
     left, _, right = np.linalg.svd(T[:3, :3])
     rotation = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
     off = np.abs(T[:3, :3] - rotation).max()
@@ -62,8 +67,8 @@ class PinholeIntrinsics:
 
     Raises
     ------
-    InputError  if a size is not a positive integer, a focal length not positive, a value not finite, or the number of
-        coefficients not 0, 4, 5, 8, 12 or 14.
+    InputError  if a size is not a positive integer, a focal length not positive, a value not finite or beyond MAX_PX,
+        or the number of coefficients not 0, 4, 5, 8, 12 or 14.
     """
 
     width: int
@@ -82,8 +87,11 @@ class PinholeIntrinsics:
             object.__setattr__(self, name, int(value))
         for name in ("fx", "fy", "cx", "cy"):
             object.__setattr__(self, name, _finite(getattr(self, name), f"intrinsics.{name}"))
-            if name in ("fx", "fy") and getattr(self, name) <= 0:
-                raise InputError(f"intrinsics.{name}: expected a positive focal length, got {getattr(self, name):g}")
+            value = getattr(self, name)
+            if name in ("fx", "fy") and value <= 0:
+                raise InputError(f"intrinsics.{name}: expected a positive focal length, got {value:g}")
+            if abs(value) > MAX_PX or (name in ("fx", "fy") and value < 1.0 / MAX_PX):
+                raise InputError(f"intrinsics.{name}: expected pixels, up to {MAX_PX:g}, got {value:g}")
         distortion = tuple(_finite(k, f"intrinsics.distortion[{i}]") for i, k in enumerate(self.distortion))
         if len(distortion) not in DISTORTION_LENGTHS:
             wanted = ", ".join(map(str, DISTORTION_LENGTHS))
@@ -158,7 +166,8 @@ class RGBDFrame:
 
     def depth_m(self) -> np.ndarray:
         """(H, W) float32 metres, NaN where there is no depth: the only place where depth changes its unit."""
-        metres = (self.depth.astype(np.float64) / self.depth_scale).astype(np.float32)
+        with np.errstate(over="ignore"):  # too far for a float32 is no depth
+            metres = (self.depth.astype(np.float64) / self.depth_scale).astype(np.float32)
         metres[~(np.isfinite(metres) & (metres > 0))] = np.nan
         return metres
 

@@ -7,11 +7,11 @@ import open3d as o3d
 
 from adagmm_fusion.atomic_file import replacing
 from adagmm_fusion.clouds import dense_cloud
-from adagmm_fusion.errors import OutputError
 from adagmm_fusion.frames import PinholeIntrinsics, RGBDPair, checked_rigid_transformation
 from adagmm_fusion.meshes.joined_grids import textured_moment
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh
 from adagmm_fusion.pipeline import PairOutcome
+from adagmm_fusion.ply_file import ply_bytes
 from adagmm_fusion.rig import Rig, SensorCalibration
 from adagmm_o3d.errors import InputError
 
@@ -43,12 +43,8 @@ def fused_mesh(pair: RGBDPair, T_target_source: np.ndarray, *, max_depth_m: floa
 
 def save_cloud(path: Path, cloud: o3d.geometry.PointCloud) -> None:
     """Write a binary .ply with float32 positions and 8-bit colours. Raises OutputError if it cannot be written."""
-    compact = o3d.t.geometry.PointCloud(o3d.core.Tensor(np.asarray(cloud.points, dtype=np.float32)))
-    colors = np.floor(255.0 * np.asarray(cloud.colors) + 0.5).astype(np.uint8)
-    compact.point.colors = o3d.core.Tensor(colors)
     with replacing(path) as temporary:
-        if not o3d.t.io.write_point_cloud(str(temporary), compact):
-            raise OutputError(f"{path}: cannot be written")
+        temporary.write_bytes(ply_bytes(np.asarray(cloud.points), np.asarray(cloud.colors)))
 
 
 class RigEstimate:

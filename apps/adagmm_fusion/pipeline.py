@@ -8,6 +8,7 @@ import numpy as np
 import open3d as o3d
 
 from adagmm_fusion.clouds import MIN_DEPTH, clouds_from_pair
+from adagmm_fusion.errors import one_line
 from adagmm_fusion.feature_start import FeatureStart, find_feature_start
 from adagmm_fusion.frame_sequence import Recording
 from adagmm_fusion.frames import RGBDPair
@@ -182,4 +183,4 @@ def _criteria(settings: Settings) -> o3d.pipelines.registration.ICPConvergenceCr
 
 
 def _refused(name: str, index: int, problem: AdaGMMError, **reached) -> PairOutcome:
-    return PairOutcome(name, index, "failed", " ".join(str(problem).split()), "error", **reached)
+    return PairOutcome(name, index, "failed", one_line(problem), "error", **reached)

@@ -37,7 +37,10 @@ def open_recording(path, *, format: str | None = None, rig: Rig | str | Path | N
         rig = load_rig(rig)
     if format is not None and format not in FORMATS:
         raise InputError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")
-    return FORMATS[format or _detect(path)].read(path, ReadOptions(rig, step))
+    try:
+        return FORMATS[format or _detect(path)].read(path, ReadOptions(rig, step))
+    except OSError as problem:  # folders that may not be listed, links in a circle
+        raise RecordingError(f"{path}: cannot be read: {problem}") from problem
 
 
 def _detect(path: Path) -> str:

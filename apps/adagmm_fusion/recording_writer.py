@@ -14,6 +14,7 @@ from adagmm_fusion.errors import OutputError, RecordingError
 from adagmm_fusion.formats.own import FORMAT, FRAME_NAME, MANIFEST, VERSION
 from adagmm_fusion.frame_sequence import FrameEntry, Recording
 from adagmm_fusion.frames import PinholeIntrinsics, RGBDFrame, inverse_rigid
+from adagmm_fusion.output_folder import exclusive
 from adagmm_fusion.rig import Rig, SensorCalibration, save_rig
 
 RIG_FILE = "rig.yaml"
@@ -48,25 +49,25 @@ def convert_recording(recording: Recording, folder, *, on_frame: Callable[[int, 
     moments = _moments(recording)
     extrinsics, moving = _extrinsics(recording, moments)
     partial = folder.with_name(f".{folder.name}.partial")
-    try:
-        shutil.rmtree(partial, ignore_errors=True)
-        partial.mkdir(parents=True)
-        calibrations = _write_images(recording, partial, on_frame)
-        sensors = {
-            name: SensorCalibration(name, *calibrations[name], T_rig_sensor=extrinsics[name])
-            for name in recording.sensors
-        }
-        save_rig(
-            partial / RIG_FILE, Rig(recording.name, sensors, f"of {recording.path.name}, read as {recording.format}")
-        )
-        write_text(partial / MANIFEST, _manifest(recording, moments, moving))
-        os.replace(partial, folder)
-    except OSError as problem:
-        if isinstance(problem, OutputError):
-            raise
-        raise OutputError(f"{folder}: cannot be written: {problem.strerror or problem}") from problem
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    with exclusive(partial):
+        try:
+            for left in partial.iterdir():  # by a run that was killed
+                shutil.rmtree(left) if left.is_dir() else left.unlink()
+            calibrations = _write_images(recording, partial, on_frame)
+            sensors = {
+                name: SensorCalibration(name, *calibrations[name], T_rig_sensor=extrinsics[name])
+                for name in recording.sensors
+            }
+            description = f"of {recording.path.name}, read as {recording.format}"
+            save_rig(partial / RIG_FILE, Rig(recording.name, sensors, description))
+            write_text(partial / MANIFEST, _manifest(recording, moments, moving))
+            os.replace(partial, folder)
+        except OSError as problem:
+            if isinstance(problem, OutputError):
+                raise
+            raise OutputError(f"{folder}: cannot be written: {problem.strerror or problem}") from problem
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
     return folder / MANIFEST
 
 

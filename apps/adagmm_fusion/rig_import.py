@@ -17,17 +17,19 @@ OpenCV FileStorage, under the names its samples use; the second camera of a ster
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from adagmm_fusion.errors import RigError
 from adagmm_fusion.frames import PinholeIntrinsics, checked_rigid_transformation, inverse_rigid
+from adagmm_fusion.input_file import read_input
+from adagmm_fusion.opencv_nodes import read_nodes
 from adagmm_fusion.strict_yaml import Item, read_yaml
 from adagmm_o3d.errors import InputError
 
 ROS_MODELS = ("plumb_bob", "rational_polynomial")
 MATRIX_NAMES = ("camera_matrix", "cameraMatrix", "K")
 DISTORTION_NAMES = ("distortion_coefficients", "distCoeffs", "D")
+SIZE_NAMES = ("image_size", "imageSize")
 OPENCV_MARKS = (b"%YAML:1.0", b"opencv_storage", b"opencv-matrix")
 
 
@@ -51,10 +53,7 @@ def read_camera(path, number: int = 1, size: tuple[int, int] | None = None) -> I
     RigError  naming the file and what is missing or wrong.
     """
     path = Path(path)
-    try:
-        start = path.read_bytes()[:4096]
-    except OSError as problem:
-        raise RigError(f"{path}: cannot be read: {problem.strerror}") from problem
+    start = read_input(path, RigError, count=4096)
     if any(mark in start for mark in OPENCV_MARKS) or path.suffix.lower() in (".xml", ".json"):
         return ImportedCamera(_opencv_camera(path, number, size))
     return _ros_camera(path)
@@ -62,9 +61,9 @@ def read_camera(path, number: int = 1, size: tuple[int, int] | None = None) -> I
 
 def read_stereo_pose(path, metres_per_unit: float) -> np.ndarray:
     """T_first_second (4, 4) [m] from R and T of an OpenCV file, whose T is in units of `metres_per_unit`."""
-    storage = _opened(Path(path))
-    R, t = (storage.getNode(name).mat() for name in ("R", "T"))
-    if R is None or t is None or R.shape != (3, 3) or t.size != 3:
+    nodes = _nodes(Path(path), ("R", "T"))
+    R, t = nodes.get("R", np.empty(0)), nodes.get("T", np.empty(0))
+    if R.shape != (3, 3) or t.size != 3:
         raise RigError(f"{path}: expected R (3x3) and T (3) of a stereo calibration")
     T_second_first = np.eye(4)
     T_second_first[:3, :3], T_second_first[:3, 3] = R, metres_per_unit * t.ravel()
@@ -84,38 +83,34 @@ def _intrinsics(path: Path, size, K, distortion) -> PinholeIntrinsics:
         raise RigError(f"{path}: {problem}") from problem
 
 
-def _opened(path: Path) -> cv2.FileStorage:
-    try:
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-    except (cv2.error, SystemError) as problem:
-        raise RigError(f"{path}: not a file that OpenCV reads; it is damaged or something else") from problem
-    if not storage.isOpened():
-        raise RigError(f"{path}: OpenCV cannot read it; it is missing, damaged or something else")
-    return storage
+def _nodes(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    read_input(path, RigError, count=1)  # it is there, and a file
+    nodes = read_nodes(path, names)
+    if nodes is None:
+        raise RigError(f"{path}: OpenCV cannot read it; it is damaged or something else")
+    return nodes
 
 
 def _opencv_camera(path: Path, number: int, size: tuple[int, int] | None) -> PinholeIntrinsics:
-    storage = _opened(path)
+    matrix_names = (*MATRIX_NAMES, *(f"{name}{number}" for name in ("M", "cameraMatrix", "K")))
+    distortion_names = (*DISTORTION_NAMES, *(f"{name}{number}" for name in ("D", "distCoeffs")))
+    nodes = _nodes(path, (*matrix_names, *distortion_names, "image_width", "image_height", *SIZE_NAMES))
 
-    def matrix(names: tuple[str, ...], numbered: tuple[str, ...]) -> np.ndarray | None:
-        for name in (*names, *(f"{n}{number}" for n in numbered)):
-            node = storage.getNode(name)
-            if not node.empty():
-                return node.mat()
-        return None
+    def first(names: tuple[str, ...]) -> np.ndarray | None:
+        return next((nodes[name] for name in names if name in nodes), None)
 
-    K = matrix(MATRIX_NAMES, ("M", "cameraMatrix", "K"))
+    K = first(matrix_names)
     if K is None:
         names = ", ".join(MATRIX_NAMES)
         raise RigError(f"{path}: expected a camera matrix called {names} or M{number}, got none")
-    distortion = matrix(DISTORTION_NAMES, ("D", "distCoeffs"))
-    width, height = storage.getNode("image_width"), storage.getNode("image_height")
-    if not width.empty() and not height.empty():
-        size = int(width.real()), int(height.real())
-    for name in ("image_size", "imageSize"):
-        node = storage.getNode(name)
-        if node.isSeq() and node.size() == 2:
-            size = int(node.at(0).real()), int(node.at(1).real())
+    distortion = first(distortion_names)
+    both = first(SIZE_NAMES)
+    if both is None and "image_width" in nodes and "image_height" in nodes:
+        both = np.array([nodes["image_width"], nodes["image_height"]])
+    if both is not None:
+        if both.shape != (2,) or not np.isfinite(both).all():
+            raise RigError(f"{path}: expected an image size of two numbers, got {both.tolist()}")
+        size = int(both[0]), int(both[1])
     if size is None:
         raise RigError(f"{path}: the image size is not in it; give it with --size")
     return _intrinsics(path, size, K, () if distortion is None else distortion)

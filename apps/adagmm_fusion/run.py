@@ -13,7 +13,9 @@ from adagmm_fusion.commands.progress import progress
 from adagmm_fusion.frame_sequence import Recording
 from adagmm_fusion.frames import RGBDPair
 from adagmm_fusion.fusion import RigEstimate, fused_cloud, fused_mesh, save_cloud
+from adagmm_fusion.interruption import exit_code
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh, save_textured_mesh
+from adagmm_fusion.output_folder import exclusive
 from adagmm_fusion.pair_record import PairRecord, pair_record
 from adagmm_fusion.pipeline import PairOutcome, compile_kernels, run_pairs
 from adagmm_fusion.recording import open_recording
@@ -34,12 +36,11 @@ from adagmm_fusion.rig import save_rig
 from adagmm_fusion.settings import Settings
 from adagmm_o3d.errors import InputError
 
-INTERRUPTED = 130
 TABLE_WIDTH = 150  # of the table where the output is no terminal
 
 
 def run(args: argparse.Namespace, settings: Settings) -> int:
-    """Run over args.recording; returns the exit code: 0, or 130 if it was interrupted, with what was finished kept.
+    """Run over args.recording; returns the exit code: 0, or 130 or 143 if it was stopped, with what was finished kept.
 
     Raises
     ------
@@ -54,8 +55,9 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
 
     results: dict[str, str] = {}
     records: list[PairRecord] = []
-    rig_estimate, interrupted = RigEstimate(), False
+    rig_estimate, stopped = RigEstimate(), None
     with contextlib.ExitStack() as stack:
+        stack.enter_context(exclusive(folder))
         viewer = None if args.no_rerun else stack.enter_context(_viewer(args, recording, settings, len(indices)))
         display = stack.enter_context(progress())
         task = display.add_task("compiling kernels", total=len(indices))
@@ -72,8 +74,8 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
                     results |= _saved(outcome, mesh, folder, settings)
                 records.append(pair_record(outcome))
                 display.advance(task)
-        except KeyboardInterrupt:
-            interrupted = True
+        except KeyboardInterrupt as stop:
+            stopped = stop
         finally:
             # Whatever ended the run, the pairs that were finished are reported.
             if viewer is not None:
@@ -93,13 +95,13 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
                 settings=settings,
                 pairs_asked=len(indices),
                 records=records,
-                interrupted=interrupted,
+                interrupted=stopped is not None,
                 results=results,
             )
             paths = write_report(folder, report)
             display.stop()
             _print(report, folder, paths, to_stderr=args.stdout)
-    return INTERRUPTED if interrupted else 0
+    return 0 if stopped is None else exit_code(stopped)
 
 
 def selected_pairs(text: str | None, count: int) -> list[int]:

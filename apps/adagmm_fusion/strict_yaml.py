@@ -12,10 +12,13 @@ from typing import NoReturn
 import numpy as np
 import yaml
 
+from adagmm_fusion.input_file import read_input_text
 from adagmm_o3d.errors import InputError
 
-NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
-INTEGER = re.compile(r"[-+]?\d+")
+NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
+INTEGER = re.compile(r"[-+]?[0-9]{1,18}")
+# Escapes can write what is no text: half of a surrogate pair, or commands to a terminal.
+NO_TEXT = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
 MAX_DEPTH = 12
 
 
@@ -32,7 +35,7 @@ class Item:
 
     def fail(self, message: str) -> NoReturn:
         """Raise this document's error about this value."""
-        raise self.error(f"{self.path}:{self.line}: {self.label}: {message}")
+        raise self.error(f"{self.path}:{self.line}: {self.label}: {' '.join(message.split())}")
 
     def mapping(self, required=(), optional=()) -> "dict[str, Item]":
         """The keys and values; exactly `required` and any of `optional` when either is given."""
@@ -102,14 +105,13 @@ class Item:
 def read_yaml(path, error: type[InputError]) -> Item:
     """The document in a UTF-8 file; `error` is the class to raise for whatever is wrong with it."""
     path = Path(path)
-    try:
-        text = path.read_bytes().decode("utf-8")
-    except OSError as problem:
-        raise error(f"{path}: cannot be read: {problem.strerror}") from problem
-    except UnicodeDecodeError as problem:
-        raise error(f"{path}: expected UTF-8 text, got byte {problem.object[problem.start]:#04x}") from problem
+    text = read_input_text(path, error)
     try:
         return _Builder(path, error, yaml.parse(text, Loader=yaml.SafeLoader)).document()
+    except InputError:
+        raise
+    except (ValueError, OverflowError) as problem:  # an escape such as \\UFFFFFFFF, which is no character
+        raise error(f"{path}: not valid YAML: {problem}") from problem
     except yaml.YAMLError as problem:
         mark = getattr(problem, "problem_mark", None)
         where = f":{mark.line + 1}" if mark else ""
@@ -145,6 +147,8 @@ class _Builder:
         quoted = False
         if isinstance(event, yaml.ScalarEvent):
             value, quoted = event.value, event.style is not None
+            if found := NO_TEXT.search(value):
+                raise self.error(f"{where}: expected text, got the character {found[0]!a} in it")
         elif isinstance(event, yaml.SequenceStartEvent):
             value = []
             while not isinstance(child := next(self.events), yaml.SequenceEndEvent):
@@ -157,7 +161,10 @@ class _Builder:
         entries: dict[str, Item] = {}
         prefix = f"{label}." if depth else ""
         while not isinstance(event := next(self.events), yaml.MappingEndEvent):
-            key = self.item(event, f"{label}: a key", depth + 1).text()
+            item = self.item(event, f"{label}: a key", depth + 1)
+            key = item.text()
+            if not key.isprintable():
+                item.fail(f"expected one line, got {key!r}")
             if key in entries:
                 line = event.start_mark.line + 1
                 raise self.error(f"{self.path}:{line}: {prefix}{key}: given twice, first in line {entries[key].line}")

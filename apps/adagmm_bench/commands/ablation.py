@@ -7,8 +7,7 @@ import sys
 from collections.abc import Mapping
 
 from adagmm_bench.commands.kinect import found as found_scene
-from adagmm_bench.commands.options import add_data, add_output, add_placement, data_folder, journal_path, placement
-from adagmm_bench.journal import Journal
+from adagmm_bench.commands.options import add_data, add_output, add_placement, data_folder, open_journal, placement
 from adagmm_bench.methods.ours import ABLATIONS
 from adagmm_bench.models import find_models
 from adagmm_bench.report import (
@@ -56,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
         problems["Kinect"] = find_scenes(folder)
     except InputError as error:
         print(f"left out the Kinect scenes: {error}", file=sys.stderr)
-    with Journal(journal_path(arguments)) as journal:
+    with open_journal(arguments) as journal:
         jobs = [TrialJob(problem, name, START) for group in problems.values() for name in NAMES for problem in group]
         records = run_jobs(jobs, journal, placement(arguments))
     keys = {group: {problem.key for problem in members} for group, members in problems.items()}

@@ -13,11 +13,10 @@ from adagmm_bench.commands.options import (
     chosen_methods,
     chosen_starts,
     data_folder,
-    journal_path,
+    open_journal,
     placement,
     starts_of,
 )
-from adagmm_bench.journal import Journal
 from adagmm_bench.methods import METHODS
 from adagmm_bench.pair_report import pair_table, write_pair_report
 from adagmm_bench.plots import plot_pair_errors
@@ -50,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
         for start in starts_of(method, starts)
         for scene in scenes
     ]
-    with Journal(journal_path(arguments)) as journal:
+    with open_journal(arguments) as journal:
         records = run_jobs(jobs, journal, placement(arguments))
     records += [authors_record(scene) for scene in scenes]
     summaries = summarise(records, found)

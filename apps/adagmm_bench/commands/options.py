@@ -6,6 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from adagmm_bench.journal import Journal
 from adagmm_bench.methods import Method, choose_methods
 from adagmm_bench.models import default_data_folder
 from adagmm_bench.problem import PREPARATIONS
@@ -86,8 +87,6 @@ def starts_of(method: Method, starts: tuple[str, ...]) -> tuple[str, ...]:
     return starts
 
 
-def journal_path(arguments: argparse.Namespace) -> Path:
-    path = arguments.output / "results.jsonl"
-    if arguments.fresh:
-        path.unlink(missing_ok=True)
-    return path
+def open_journal(arguments: argparse.Namespace) -> Journal:
+    """The results under --output. Raises OutputError if they cannot be written, or another run holds them."""
+    return Journal(arguments.output / "results.jsonl", fresh=arguments.fresh)

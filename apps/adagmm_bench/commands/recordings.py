@@ -17,11 +17,10 @@ from adagmm_bench.commands.options import (
     chosen_methods,
     chosen_starts,
     data_folder,
-    journal_path,
+    open_journal,
     placement,
     starts_of,
 )
-from adagmm_bench.journal import Journal
 from adagmm_bench.methods import METHODS
 from adagmm_bench.methods.registry import source_digest
 from adagmm_bench.pair_report import pair_table, write_pair_report
@@ -59,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
         for method in methods
         for start in starts_of(method, starts)
     ]
-    with Journal(journal_path(arguments)) as journal:
+    with open_journal(arguments) as journal:
         records = run_jobs(jobs, journal, placement(arguments), run=run_frame_trial, version_of=version_of)
     limits = Settings()
 

@@ -12,12 +12,11 @@ from adagmm_bench.commands.options import (
     chosen_methods,
     chosen_starts,
     data_folder,
-    journal_path,
+    open_journal,
     placement,
     starts_of,
     words,
 )
-from adagmm_bench.journal import Journal
 from adagmm_bench.methods import METHODS
 from adagmm_bench.models import find_models
 from adagmm_bench.plots import MAX_LINES, plot_sweep
@@ -93,7 +92,7 @@ def run(arguments: argparse.Namespace, dimension: int) -> int:
         for start in starts_of(method, starts)
         for problem in problems
     ]
-    with Journal(journal_path(arguments)) as journal:
+    with open_journal(arguments) as journal:
         records = run_jobs(jobs, journal, placement(arguments))
     models = models_path.name if models_path else "shapes made by the bench"
     write_report(arguments, dimension, models, records, skipped)

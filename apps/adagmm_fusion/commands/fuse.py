@@ -65,21 +65,23 @@ def run(args: argparse.Namespace) -> int:
     ------
     AdaGMMError  if the recording cannot be used, the poses are not known, or a result cannot be written.
     """
+    from adagmm_fusion.output_folder import exclusive
+
+    recording = recording_of(args)
+    folder = Path(args.output) if args.output else Path("output") / f"{recording.path.resolve().name}_fused"
     # With --stdout the Rerun recording goes there, and what is said to stderr.
-    with contextlib.redirect_stdout(sys.stderr) if args.stdout else contextlib.nullcontext():
-        _fuse(args)
+    with contextlib.redirect_stdout(sys.stderr) if args.stdout else contextlib.nullcontext(), exclusive(folder):
+        _fuse(args, recording, folder)
     return 0
 
 
-def _fuse(args: argparse.Namespace) -> None:
+def _fuse(args: argparse.Namespace, recording, folder: Path) -> None:
     from adagmm_fusion.commands.progress import staged_progress_bar
     from adagmm_fusion.sequence.fused_mesh import fuse_frames, save_fused_mesh
     from adagmm_fusion.sequence.scene import scene_of
     from adagmm_fusion.settings import Settings
 
-    recording = recording_of(args)
     scene = scene_of(recording, args.moment)
-    folder = Path(args.output) if args.output else Path("output") / f"{recording.path.resolve().name}_fused"
     settings = Settings(max_depth_m=args.max_depth, target_points=args.target_points, device=args.device)
     if args.poses == "truth":
         poses = {index: recording.entries[index].T_world_camera for index in scene.places}

@@ -16,11 +16,13 @@ from pathlib import Path
 import numpy as np
 
 from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.input_file import read_input
 
 VALUE_DTYPES = {1: "i1", 2: "u1", 3: "<i2", 4: "<u2", 5: "<i4", 6: "<u4", 7: "<f4", 9: "<f8", 12: "<i8", 13: "<u8"}
 CLASS_DTYPES = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
 STRUCTURE, MATRIX, COMPRESSED, COMPLEX = 2, 14, 15, 0x0800
-MAX_BYTES = 1 << 28  # of one variable; far more than an image
+MAX_BYTES = 1 << 26  # of one variable; far more than an image
+MAX_DIMENSIONS = 8
 
 
 class _Damaged(Exception):
@@ -34,16 +36,11 @@ def read_variable(path: Path, name: str) -> np.ndarray | dict[str, np.ndarray]:
     ------
     RecordingError  if the file is missing, damaged, of another level, has no such variable, or that is of another kind.
     """
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError as problem:
-        raise RecordingError(f"{path}: the file is missing") from problem
-    except OSError as problem:
-        raise RecordingError(f"{path}: cannot be read: {problem.strerror}") from problem
+    data = read_input(path, RecordingError, missing="the file is missing")
     if len(data) < 128 or data[124:128] != b"\x00\x01IM":
         raise RecordingError(f"{path}: not a MATLAB file of level 5, or cut off; save it in MATLAB with -v7")
     try:
-        rest = data[128:]
+        rest = memoryview(data)[128:]  # parts of it are no copies: there may be very many
         while rest:
             kind, content, rest = _element(rest)
             if kind == COMPRESSED:
@@ -57,7 +54,7 @@ def read_variable(path: Path, name: str) -> np.ndarray | dict[str, np.ndarray]:
     raise RecordingError(f"{path}: there is no variable {name!r} in it")
 
 
-def _element(data: bytes) -> tuple[int, bytes, bytes]:
+def _element(data: memoryview) -> tuple[int, memoryview, memoryview]:
     """Type and content of the first element, and what follows it."""
     if len(data) < 8:
         raise _Damaged("it ends within an element")
@@ -74,28 +71,28 @@ def _element(data: bytes) -> tuple[int, bytes, bytes]:
     return kind, data[start : start + size], data[end:]
 
 
-def _inflate(content: bytes) -> bytes:
+def _inflate(content: memoryview) -> memoryview:
     stream = zlib.decompressobj()
     data = stream.decompress(content, MAX_BYTES)
     if not stream.eof:
         raise _Damaged("a compressed variable is incomplete or too large")
-    return data
+    return memoryview(data)
 
 
-def _matrix(content: bytes, wanted: str | None) -> tuple[str, np.ndarray | dict[str, np.ndarray]]:
+def _matrix(content: memoryview, wanted: str | None) -> tuple[str, np.ndarray | dict[str, np.ndarray]]:
     """Name and value; the value of a variable that is not `wanted` (None: any) is left out."""
     _, flags, rest = _element(content)
     _, dimensions, rest = _element(rest)
     _, name, rest = _element(rest)
     if len(flags) != 8 or len(dimensions) < 8 or len(dimensions) % 4:
         raise _Damaged("a variable's flags or dimensions are malformed")
-    text = name.decode("latin-1")
+    text = bytes(name).decode("latin-1")
     if wanted is not None and text != wanted:
         return text, np.empty(0)
     flag = int(np.frombuffer(flags, "<u4", 1)[0])
     shape = tuple(int(x) for x in np.frombuffer(dimensions, "<i4"))
-    if min(shape) < 0:
-        raise _Damaged("a dimension is negative")
+    if min(shape) < 0 or len(shape) > MAX_DIMENSIONS:
+        raise _Damaged("a dimension is negative, or there are too many")
     if flag & 0xFF == STRUCTURE:
         return text, _fields(rest)
     if flag & 0xFF not in CLASS_DTYPES or flag & COMPLEX:
@@ -113,7 +110,7 @@ def _matrix(content: bytes, wanted: str | None) -> tuple[str, np.ndarray | dict[
         return text, array.astype(CLASS_DTYPES[flag & 0xFF]).reshape(shape, order="F")
 
 
-def _fields(rest: bytes) -> dict[str, np.ndarray]:
+def _fields(rest: memoryview) -> dict[str, np.ndarray]:
     _, length, rest = _element(rest)
     _, names, rest = _element(rest)
     width = int(np.frombuffer(length, "<i4", 1)[0]) if len(length) == 4 else 0
@@ -127,5 +124,5 @@ def _fields(rest: bytes) -> dict[str, np.ndarray]:
         _, value = _matrix(content, None)
         if not isinstance(value, np.ndarray):
             raise _Damaged("a structure is in a structure")
-        fields[names[start : start + width].split(b"\0")[0].decode("latin-1")] = value
+        fields[bytes(names[start : start + width]).split(b"\0")[0].decode("latin-1")] = value
     return fields

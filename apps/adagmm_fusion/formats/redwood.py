@@ -24,6 +24,7 @@ from adagmm_fusion.formats.text_table import parse_numbers, parse_pose, read_row
 from adagmm_fusion.frame_sequence import FrameEntry, Recording, sequential_pairs
 from adagmm_fusion.frames import PinholeIntrinsics
 from adagmm_fusion.image_files import COLOR_SUFFIXES, inside, load_frame
+from adagmm_fusion.input_file import read_input_text
 
 NAME = "redwood"
 SUMMARY = "Redwood/Open3D folder (color/, depth/, trajectory.log)"
@@ -86,11 +87,12 @@ def _read_intrinsics(folder: Path) -> PinholeIntrinsics:
     path = folder / "camera_intrinsic.json"
     if not path.is_file():
         return PRIMESENSE
+    text = read_input_text(path, RecordingError)
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
+        values = json.loads(text)
         width, height, columns = values["width"], values["height"], values["intrinsic_matrix"]
         K = np.array(columns, dtype=np.float64).reshape(3, 3).T  # column by column, as Open3D writes it
-    except (ValueError, KeyError, TypeError) as problem:
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as problem:
         raise RecordingError(
             f"{path}: expected width, height and intrinsic_matrix (9 numbers): {problem!r}"
         ) from problem

@@ -7,18 +7,13 @@ import numpy as np
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.frames import checked_rigid_transformation
+from adagmm_fusion.input_file import read_input_text
 from adagmm_o3d.errors import InputError
 
 
 def read_lines(path: Path) -> Iterator[tuple[str, str]]:
     """("file:line", the line) of each line that is not blank, comments included."""
-    try:
-        text = path.read_bytes().decode("utf-8")
-    except OSError as problem:
-        raise RecordingError(f"{path}: cannot be read: {problem.strerror}") from problem
-    except UnicodeDecodeError as problem:
-        raise RecordingError(f"{path}: expected text, got a binary file") from problem
-    for number, line in enumerate(text.splitlines(), 1):
+    for number, line in enumerate(read_input_text(path, RecordingError).splitlines(), 1):
         if line.strip():
             yield f"{path}:{number}", line.strip()
 

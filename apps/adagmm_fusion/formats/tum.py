@@ -26,6 +26,7 @@ from adagmm_fusion.formats.text_table import parse_numbers, read_rows
 from adagmm_fusion.frame_sequence import FrameEntry, PairEntry, Recording, sequential_pairs
 from adagmm_fusion.frames import PinholeIntrinsics
 from adagmm_fusion.image_files import inside, load_frame
+from adagmm_fusion.input_file import read_input_text
 
 NAME = "tum"
 SUMMARY = "TUM RGB-D folder (rgb.txt, depth.txt, groundtruth.txt)"
@@ -167,7 +168,7 @@ def _read_pairs(path: Path, stamps: np.ndarray) -> tuple[PairEntry, ...]:
 
 
 def _known_intrinsics(folder: Path) -> PinholeIntrinsics | None:
-    head = (folder / "depth.txt").read_text(encoding="utf-8", errors="replace")[:1000]
+    head = read_input_text(folder / "depth.txt", RecordingError)[:1000]
     found = re.search(r"freiburg([123])|\bfr([123])(?![0-9])", folder.resolve().name.replace("_", " ")) or re.search(
         r"freiburg([123])", head
     )

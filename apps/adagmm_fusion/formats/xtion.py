@@ -101,7 +101,7 @@ def _read_calibration(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     if not isinstance(parameters, dict) or any(np.squeeze(parameters.get(k, 0)).shape != s for k, s in shapes.items()):
         raise RecordingError(f"{path}: cam_params: expected Kdepth, Krgb, R (3x3) and T (3)")
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = parameters["R"], np.squeeze(parameters["T"])
+    T[:3, :3], T[:3, 3] = np.squeeze(parameters["R"]), np.squeeze(parameters["T"])
     try:
         T = checked_rigid_transformation(T, "cam_params R, T")
     except InputError as problem:

@@ -10,6 +10,7 @@ from adagmm_fusion.errors import OutputError
 from adagmm_fusion.frames import RGBDFrame, inverse_rigid
 from adagmm_fusion.meshes.glb_file import colored_glb
 from adagmm_fusion.meshes.pinhole_images import pinhole_images
+from adagmm_fusion.ply_file import ply_bytes
 from adagmm_o3d.errors import InputError
 
 BLOCK_RESOLUTION = 8  # voxels a side
@@ -94,8 +95,10 @@ def save_mesh(path: Path, mesh: o3d.geometry.TriangleMesh) -> None:
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise OutputError(f"{path}: expected a name ending in {' or '.join(MESH_SUFFIXES)}")
     with replacing(path) as temporary:
+        vertices, normals, colors, triangles = map(
+            np.asarray, (mesh.vertices, mesh.vertex_normals, mesh.vertex_colors, mesh.triangles)
+        )
         if path.suffix.lower() == ".glb":
-            arrays = (mesh.vertices, mesh.vertex_normals, mesh.vertex_colors, mesh.triangles)
-            temporary.write_bytes(colored_glb(*map(np.asarray, arrays)))
-        elif not o3d.io.write_triangle_mesh(str(temporary), mesh):
-            raise OutputError(f"{path}: cannot be written")
+            temporary.write_bytes(colored_glb(vertices, normals, colors, triangles))
+        else:
+            temporary.write_bytes(ply_bytes(vertices, colors, normals, triangles))

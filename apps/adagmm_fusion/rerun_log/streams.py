@@ -23,6 +23,7 @@ VIEWER_URL = f"rerun+http://{LOOPBACK}:{VIEWER_PORT}/proxy"
 CONNECT_SECONDS = 5.0
 SERVER_START_SECONDS = 20.0
 FLUSH_SECONDS = 120.0
+LEAST_ROOM_BYTES = 1 << 20  # the SDK waits for ever where there is no room for a file's beginning
 
 
 def add_rerun_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,7 +55,10 @@ def open_stream(args: argparse.Namespace, name: str, blueprint=None) -> Iterator
             _connect(rec, args.url or VIEWER_URL, blueprint)
         elif args.save is not None:
             partial = stack.enter_context(_renamed_when_complete(Path(args.save)))
-            rec.save(partial, default_blueprint=blueprint)
+            try:
+                rec.save(partial, default_blueprint=blueprint)
+            except RuntimeError as error:
+                raise OutputError(f"{args.save}: cannot be written: {error}") from error
         try:
             yield rec
         finally:
@@ -83,7 +87,7 @@ def _close(rec: rr.RecordingStream) -> None:
     try:
         rec.flush(timeout_sec=FLUSH_SECONDS)
     except RuntimeError as error:
-        raise OutputError(f"Rerun recording: not all of it arrived within {FLUSH_SECONDS:g} s ({error})") from error
+        raise OutputError(f"Rerun recording: not all of it was written within {FLUSH_SECONDS:g} s: {error}") from error
     finally:
         rec.disconnect()
 
@@ -93,8 +97,10 @@ def _renamed_when_complete(path: Path) -> Iterator[Path]:
     partial = path.with_name(f".{path.name}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial.touch()
+        partial.write_bytes(bytes(LEAST_ROOM_BYTES))
+        os.truncate(partial, 0)
     except OSError as error:
+        partial.unlink(missing_ok=True)
         raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
     try:
         yield partial

@@ -1,0 +1,47 @@
+"""Files of a recording or rig, read whole: only regular ones, for a pipe may never end, and none without bound."""
+
+import os
+import stat
+from pathlib import Path
+
+from adagmm_o3d.errors import InputError
+
+MAX_BYTES = 1 << 28  # far more than an image, a list of images or a calibration
+
+
+def read_input(path: Path, error: type[InputError], *, count: int = MAX_BYTES, missing: str | None = None) -> bytes:
+    """The bytes of a file, links followed; with `count` its first ones.
+
+    Raises
+    ------
+    error  naming the file, if it is not there (`missing` says so), cannot be read, is no file, or has more than
+        MAX_BYTES.
+    """
+    try:
+        with open(path, "rb", opener=_without_waiting) as file:
+            status = os.fstat(file.fileno())
+            if not stat.S_ISREG(status.st_mode):
+                raise error(f"{path}: cannot be read: it is a pipe or a device, not a file")
+            if status.st_size > MAX_BYTES:
+                raise error(
+                    f"{path}: cannot be read: expected at most {MAX_BYTES >> 20} MiB, got {status.st_size >> 20}"
+                )
+            return file.read(count)
+    except OSError as problem:
+        if missing is not None and isinstance(problem, FileNotFoundError):
+            raise error(f"{path}: {missing}") from problem
+        raise error(f"{path}: cannot be read: {problem.strerror}") from problem
+
+
+def read_input_text(path: Path, error: type[InputError]) -> str:
+    """The text of a UTF-8 file; see `read_input`."""
+    try:
+        return read_input(path, error).decode("utf-8")
+    except UnicodeDecodeError as problem:
+        byte = problem.object[problem.start]
+        raise error(f"{path}: expected UTF-8 text, got byte {byte:#04x}; is it a binary file?") from problem
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    """Open a pipe without waiting for somebody to write into it."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))

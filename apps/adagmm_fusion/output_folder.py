@@ -1,0 +1,45 @@
+"""One run at a time writes into a folder of results."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from adagmm_fusion.errors import OutputError
+
+try:
+    import fcntl
+except ImportError:  # Windows: two runs into one folder are not told apart there
+    fcntl = None
+
+
+@contextmanager
+def exclusive(folder: Path) -> Iterator[None]:
+    """Make the folder where it is missing; within, no other run gets it. However this one ends, it is free again.
+
+    Raises
+    ------
+    OutputError  if the folder cannot be made, or another run has it.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle = None if fcntl is None else os.open(folder, os.O_RDONLY)
+    except OSError as problem:
+        raise OutputError(f"{folder}: cannot be written: {problem.strerror}") from problem
+    try:
+        if handle is not None and not _locked(handle):
+            raise OutputError(f"{folder}: another run is writing here; give this one another --output")
+        yield
+    finally:
+        if handle is not None:
+            os.close(handle)
+
+
+def _locked(handle: int) -> bool:
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # some network file systems lock no folders
+        pass
+    return True

@@ -16,6 +16,7 @@ from . import starts
 from .arguments import Array
 from .cascade import Cascade
 from .conclusion import conclude, lower
+from .condensing import condense
 from .em import Criteria, expectation_maximisation
 from .errors import InputError
 from .expectation import CLOSE_VOLUME, OPEN_VOLUME, AdaptiveExpectation
@@ -122,7 +123,9 @@ def register_mixtures(
         if observe is not None:
             for iteration in best.iterations:
                 observe(iteration)
-        start, volume, pairs = best.start, cascade.volume, make_pair_loop(moving, fixed, device)
+        start, volume = best.start, cascade.volume
+        finest = condense(moving), condense(fixed)
+        pairs = make_pair_loop(*finest, device)
         outcome, fit = cascade.refine(
             pairs,
             best,
@@ -132,7 +135,10 @@ def register_mixtures(
             observe=observe,
         )
         if outcome.stop_reason is not StopReason.NO_OVERLAP:
-            assess = partial(uncertainty_out, pairs, moving, fixed, fit, normalisation)
+            assess = partial(uncertainty_out, pairs, *finest, fit, normalisation)
+        if finest[0] is not moving:
+            # What is said of each point is said of all of them.
+            pairs = make_pair_loop(moving, finest[1], device)
     else:
         if everywhere:
             raise InputError(f"init: 'global' needs sigma_rule 'posterior', got {method.sigma_rule!r}")

@@ -7,23 +7,16 @@ The likelihood of both clouds can, and on merged mixtures it is cheap to ask for
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
 from .coarse import MergedMixture, count_certain, merge, sample
-from .em import Criteria, Outcome, expectation_maximisation
-from .expectation import FASTEST, LEAST_UNMATCHED, SIGMA_FLOOR, PosteriorExpectation
+from .expectation import SIGMA_FLOOR
 from .mixture import Mixture
 from .neighbors import NeighborIndex
 from .order_statistics import quantile
-from .pairs import Pairs
-from .pose_covariance import Fit
-from .result import StopReason
 from .start_search import End, Limits, Start, distinct, joined, pose_distance, run_starts
-from .trace import Iteration
 
 # Components of the level on which a search tries its many starts and of the one on which few go on, points of the one
 # that ranks those, and of the one that decides. Clouds of up to SMALL points decide with all of them; a search among
@@ -60,7 +53,8 @@ class Cascade:
     def _merged(self) -> tuple[MergedMixture, MergedMixture]:
         return merge(self.source, MERGED), merge(self.target, MERGED)
 
-    def _sampled(self, size: int) -> tuple[MergedMixture, MergedMixture]:
+    def sampled(self, size: int) -> tuple[MergedMixture, MergedMixture]:
+        """At most `size` of the points of either, without those flagged as outliers."""
         if size not in self._samples:
             self._samples[size] = sample(self.source, size), sample(self.target, size)
         return self._samples[size]
@@ -99,7 +93,7 @@ class Cascade:
         kept = [end for end in distinct([merged, *ends], KEPT_MERGED, APART_MERGED) if end is not merged]
         again = [Start(end.pose, 2.0 * MERGED_LIMITS.floor, end.unmatched, 0.65, 6, follow=0.0) for end in kept]
         ranked = run_starts(
-            *self._sampled(RANKING),
+            *self.sampled(RANKING),
             again,
             limits=RANKING_LIMITS,
             volume=self.volume,
@@ -111,46 +105,6 @@ class Cascade:
             if pose_distance(end.pose, decided.pose) > APART_DECIDING
         ]
         return sorted([decided, *self._decide(rivals, size)], key=lambda end: -end.log_likelihood)
-
-    def refine(
-        self,
-        pairs: Pairs,
-        end: End,
-        criteria: Criteria,
-        *,
-        mutuality: float,
-        relaxation: float,
-        observe: Callable[[Iteration], None] | None,
-    ) -> tuple[Outcome, Fit]:
-        """The end carried to convergence on all points, and the mixtures' parameters there."""
-        if self.small and mutuality == 0.0:
-            return self._refine_compiled(end, criteria, observe)
-        dimension = self.source.dimension
-        expectation = PosteriorExpectation(
-            pairs, dimension, end.sigma, unmatched=end.unmatched, mutuality=mutuality, volume=self.volume
-        )
-        outcome = expectation_maximisation(
-            expectation, end.pose, criteria, dimension, relaxation=relaxation, level=3, observe=observe
-        )
-        fit = Fit(outcome.pose, expectation.scale.target, expectation.unmatched, self.volume, mutuality)
-        return replace(outcome, iterations=end.iterations + outcome.iterations), fit
-
-    def _refine_compiled(
-        self, end: End, criteria: Criteria, observe: Callable[[Iteration], None] | None
-    ) -> tuple[Outcome, Fit]:
-        """`refine` without a return to Python, which would cost small clouds more than their pairs do."""
-        start = Start(end.pose, end.sigma, end.unmatched, FASTEST, criteria.max_iteration, follow=1.0)
-        limits = Limits(SIGMA_FLOOR, LEAST_UNMATCHED, criteria.relative_rmse, accelerated=True)
-        refined = run_starts(*self._sampled(SMALL), [start], limits=limits, volume=self.volume, level=3)[0]
-        if observe is not None:
-            for iteration in refined.iterations:
-                observe(iteration)
-        if not refined.iterations[-1].matched > 0.0:
-            reason = StopReason.NO_OVERLAP
-        else:
-            reason = StopReason.CONVERGED if refined.settled else StopReason.MAX_ITERATION
-        fit = Fit(refined.pose, refined.sigma, refined.unmatched, self.volume, mutuality=0.0)
-        return Outcome(refined.pose, end.iterations + refined.iterations, reason), fit
 
     def run_deciding(self, starts: list[Start]) -> list[End]:
         """Run starts on the deciding level right away."""
@@ -165,7 +119,7 @@ class Cascade:
 
     def _run_sampled(self, starts: list[Start], size: int) -> list[End]:
         return run_starts(
-            *self._sampled(size),
+            *self.sampled(size),
             starts,
             limits=DECIDING_LIMITS,
             volume=self.volume,

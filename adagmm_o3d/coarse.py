@@ -62,17 +62,17 @@ class MergedMixture:
 
     @cached_property
     def _target(self) -> tuple[Any, ...]:
-        order, points, matrices, spreads, reach, reach_spreads, bits = self._ordered
-        tiles = make_tiles(points, reach[0], bits)
-        of_spreads = make_tiles(points, reach_spreads[0], bits)
+        order, points, matrices, spreads, reach, reach_spreads = self._ordered
+        tiles = make_tiles(points, reach[0], np.zeros_like(reach[0]))
+        of_spreads = make_tiles(points, reach_spreads[0], np.zeros_like(reach[0]))
         packed = pack(points, self.weights[order], len(matrices))
         tile_spreads = of_spreads.variance[None], of_spreads.group_variance[None]
-        return packed, matrices, spreads, reach, reach_spreads, bits, *tile_spreads, *tiles
+        return packed, matrices, spreads, reach, reach_spreads, *tile_spreads, *tiles
 
     @cached_property
     def _ordered(self) -> tuple[Any, ...]:
         """The components' order in space; in it, points (3, n), packed covariances and spreads (6, n), largest
-        variances and bounds on those of the spreads (1, n), bits (n,); in powers of two."""
+        variances and bounds on those of the spreads (1, n); in powers of two."""
         n = len(self.points)
         order = morton_order(self.points, last=np.zeros(n, np.bool_))
         reach = self.largest_variances[order], np.einsum("nii->n", self.spreads)[order]
@@ -81,7 +81,6 @@ class MergedMixture:
             np.ascontiguousarray(self.points[order].T, np.float32),
             *(self._packed(matrices[order]) for matrices in (self.covariances, self.spreads)),
             *((variances[None] / LOG2_SCALE).astype(np.float32) for variances in reach),
-            np.full(n, COARSE_BITS, np.float32),
         )
 
     def _packed(self, matrices: Array) -> Float32:

@@ -1,9 +1,9 @@
 """Dense clouds with fewer points: what lies closer together than any σ can tell apart is one component.
 
-σ never falls below `expectation.SIGMA_FLOOR`, so a Gaussian of the finest mixture is as wide as 1.6 % of the radius at
-least, however many points there are. Points within a cell much smaller than that, and about as certain, are merged into
-one of their weight. The number of components is then that of the cells the surface runs through, and a cloud of a
-million points costs little more than one of fifty thousand.
+Until σ has come down to `expectation.SIGMA_FLOOR` a Gaussian is as wide as 1.6 % of the radius at least, however many
+points there are. Points within a cell much smaller than that, and about as certain, are merged into one of their
+weight. The number of components is then that of the cells the surface runs through, and a cloud of a million points
+costs little more than one of fifty thousand.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ AXIS_BITS, OCTAVES = 20, 16
 
 
 def condense(mixture: Mixture) -> Mixture:
-    """The normalised mixture with at most one component a cell and octave of variance; itself where that brings nothing.
+    """The normalised mixture with at most one component a cell and octave of variance; itself where that saves little.
 
     A component has the mean of its points, their mean covariance, and the sum of their weights.
     """

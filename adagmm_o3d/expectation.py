@@ -12,7 +12,7 @@ from .kernels.acceleration import LOG_SIGMA, UNMATCHED_SHARE, accelerate, empty_
 from .kernels.pair_loop import PairSums, PosteriorSums
 from .lie import se_exp
 from .pairs import Pairs
-from .sigma_rules import LEAST_SIGMA, Scale, SigmaRule
+from .sigma_rules import Scale, SigmaRule
 
 # Points without a partner are spread evenly over a volume, in units of the radius to the power of the dimension: the
 # whole world of a cloud, where they may be anywhere; or little more than the clouds themselves where they are surfaces
@@ -22,8 +22,9 @@ OPEN_VOLUME = {2: 12.0, 3: 30.0}
 CLOSE_VOLUME = {2: 1.0, 3: 1.0}
 # The share of such points is estimated within these bounds: never none, never nearly all.
 LEAST_UNMATCHED, MOST_UNMATCHED = 0.05, 0.7
-# No sensor resolves its cloud's shape better than this: a standard deviation of 1.6 % of the radius.
-SIGMA_FLOOR = 2.5e-4
+# No part of a cloud that decides between ends resolves its shape better than this: a standard deviation of 1.6 % of the
+# radius. On all points σ may follow the residuals down to where float32 coordinates still have three digits.
+SIGMA_FLOOR, FINEST_SIGMA = 2.5e-4, 1e-6
 # How fast σ may fall on all points: to this share of itself in an iteration.
 FASTEST = 0.8
 # σ counts as settled when it changes by less than this share.
@@ -89,7 +90,7 @@ class PosteriorExpectation:
         mutuality: float,
         volume: float,
         fastest: float = FASTEST,
-        floor: float = SIGMA_FLOOR,
+        floor: float = FINEST_SIGMA,
     ) -> None:
         self._pairs, self._dimension = pairs, dimension
         self._fastest, self._floor, self._mutuality, self._volume = fastest, floor, mutuality, volume
@@ -104,7 +105,7 @@ class PosteriorExpectation:
     def advance(self, pose: Array, delta: Array, sums: PairSums, settled: bool) -> tuple[Array, bool]:
         assert isinstance(sums, PosteriorSums)
         old = self.scale.target
-        wanted = max(old * sums.energy / sums.weight / self._dimension, self._floor, LEAST_SIGMA)
+        wanted = max(old * sums.energy / sums.weight / self._dimension, self._floor)
         new = max(self._fastest * old, wanted)
         unmatched = min(max(1.0 - sums.overlap, LEAST_UNMATCHED), MOST_UNMATCHED)
         residual = np.array([*delta, math.log(new / old), unmatched - self.unmatched])
@@ -113,7 +114,7 @@ class PosteriorExpectation:
             forget(self._memory)
         else:
             accelerate(residual, math.sqrt(old), self._memory, step)
-            new = max(old * math.exp(step[LOG_SIGMA]), self._fastest * old, self._floor, LEAST_SIGMA)
+            new = max(old * math.exp(step[LOG_SIGMA]), self._fastest * old, self._floor)
         self.unmatched = min(max(self.unmatched + step[UNMATCHED_SHARE], LEAST_UNMATCHED), MOST_UNMATCHED)
         self.scale = Scale(new, new)
         done = settled and abs(residual[LOG_SIGMA]) < SIGMA_TOLERANCE

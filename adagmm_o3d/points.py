@@ -16,7 +16,6 @@ from . import starts
 from .arguments import Array
 from .cascade import Cascade
 from .conclusion import conclude, lower
-from .condensing import condense
 from .em import Criteria, expectation_maximisation
 from .errors import InputError
 from .expectation import CLOSE_VOLUME, OPEN_VOLUME, AdaptiveExpectation
@@ -26,6 +25,7 @@ from .lie import project_to_rotation, split
 from .mixture import Mixture, Normalisation, normalise
 from .options import TransformationEstimationForAdaptiveGMM
 from .pose_covariance import uncertainty_out
+from .refinement import refine
 from .result import PointRegistrationResult, PoseUncertainty, StopReason
 from .settings import check_callback, check_criteria, check_estimation_method
 from .sigma_rules import Annealed, FigureTwo, NearestDistance, SigmaRule
@@ -124,21 +124,21 @@ def register_mixtures(
             for iteration in best.iterations:
                 observe(iteration)
         start, volume = best.start, cascade.volume
-        finest = condense(moving), condense(fixed)
-        pairs = make_pair_loop(*finest, device)
-        outcome, fit = cascade.refine(
-            pairs,
+        refined = refine(
+            cascade,
             best,
             limits,
+            device=device,
             mutuality=_mutuality(method, cascade),
             relaxation=method.relaxation,
             observe=observe,
         )
+        outcome, pairs = refined.outcome, refined.pairs
         if outcome.stop_reason is not StopReason.NO_OVERLAP:
-            assess = partial(uncertainty_out, pairs, *finest, fit, normalisation)
-        if finest[0] is not moving:
+            assess = partial(uncertainty_out, pairs, refined.source, refined.target, refined.fit, normalisation)
+        if refined.source is not moving:
             # What is said of each point is said of all of them.
-            pairs = make_pair_loop(moving, finest[1], device)
+            pairs = make_pair_loop(moving, refined.target, device)
     else:
         if everywhere:
             raise InputError(f"init: 'global' needs sigma_rule 'posterior', got {method.sigma_rule!r}")

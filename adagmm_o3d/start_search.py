@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .arguments import Array
-from .coarse import MergedMixture
+from .coarse import COARSE_BITS, MergedMixture
 from .expectation import MOST_UNMATCHED
 from .kernels import search as kernel
 from .kernels.compiling import LOG2_SCALE
@@ -37,13 +37,15 @@ class Limits:
 
     floor : least σ.   least_unmatched : least share of points without a partner.   relative_rmse : as in
     `em.Criteria`.   accelerated : whether steps are extrapolated. A long step may end in another optimum than the one
-    that its start leads to, so not where ends are still compared.
+    that its start leads to, so not where ends are still compared.   bits : pairs are left out where their weight is
+    below 2**-bits of what it would be without a distance between them.
     """
 
     floor: float
     least_unmatched: float
     relative_rmse: float
     accelerated: bool = False
+    bits: float = COARSE_BITS
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,7 @@ def run_starts(
         (limits.floor, limits.least_unmatched, MOST_UNMATCHED),
         limits.relative_rmse,
         limits.accelerated,
+        limits.bits,
         ends,
         history,
     )

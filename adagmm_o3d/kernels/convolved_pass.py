@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from .compiling import F0, F1, FLAGS, formulas
-from .culling import CLUSTER, GROUP, RUN, TILE, cluster_box, largest, reach_group, reach_points
+from .culling import BLOCK, CLUSTER, GROUP, RUN, TILE, cluster_box, largest, reach_group, reach_groups, reach_points
 from .exp2 import exp2_float32
 from .layout import DENSITY, ROW_SUMS, TOTAL_LIKELIHOOD, TOTAL_MATCHED
 from .normal_equations import add_row
@@ -242,6 +242,7 @@ def convolved_pass(pose, source, target, tiles, kind, uniform, mutuality, cluste
     tile_count = tiles[0].shape[1]
     still = np.zeros(6, np.float32)
     y = np.empty((3, CLUSTER), np.float32)
+    y_block = np.empty((3, BLOCK * CLUSTER), np.float32)
     lo = np.empty(3, np.float32)
     hi = np.empty(3, np.float32)
     turned = np.empty((CLUSTER, 6), np.float32)
@@ -250,7 +251,15 @@ def convolved_pass(pose, source, target, tiles, kind, uniform, mutuality, cluste
     index = np.empty(RUN, np.int32)
     near = np.empty((packed.shape[0], STRIDE), np.float32)
     near_column = np.empty(RUN, np.float32)
+    groups = np.empty(tiles[4].shape[1], np.int32)
+    group_count = 0
     for cluster in range(clusters[0], clusters[1]):
+        if (cluster - clusters[0]) % BLOCK == 0:
+            last_cluster = min(cluster + BLOCK, clusters[1])
+            m0, m1 = cluster * CLUSTER, min(m_all, last_cluster * CLUSTER)
+            cluster_box(pose, points, m0, m1, y_block, lo, hi)
+            box = (lo, hi, largest(variances, m0, m1), largest(bits, m0, m1))
+            group_count = reach_groups(box, tiles, groups)
         m0 = cluster * CLUSTER
         m1 = min(m_all, m0 + CLUSTER)
         own = weights32[m0:m1]
@@ -262,7 +271,8 @@ def convolved_pass(pose, source, target, tiles, kind, uniform, mutuality, cluste
             if planar:
                 turned[m - m0, 5] = F1
         count = 0
-        for g in range(tiles[4].shape[1]):
+        for i in range(group_count):
+            g = groups[i]
             hits = reach_group(g, box, tiles, beyond)
             first, last = g * GROUP * TILE, min(tile_count, (g + 1) * GROUP) * TILE
             if hits * TILE == last - first:

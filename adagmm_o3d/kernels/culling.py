@@ -15,6 +15,7 @@ GROUP = 32
 CLUSTER = 8
 CLUSTERS_PER_CHUNK = 4
 CHUNK = CLUSTER * CLUSTERS_PER_CHUNK
+BLOCK = 32  # clusters that look for groups together
 RUN = 1024  # target points summed in float32 before float64 takes over
 
 rotate_point = formulas.rotate_point
@@ -77,6 +78,20 @@ def next_run(tile, box, sigma, tiles, convolved, n):
 
 # The larger of two is vector code only where NaN is ruled out; points are finite.
 REACH_FLAGS = {**FLAGS, "fastmath": FAST | {"nnan"}}
+
+
+@njit(**REACH_FLAGS)
+def reach_groups(box, tiles, groups):
+    """Put the groups that a block of source clusters can reach into `groups`; how many they are. See `reach_group`."""
+    lo, hi, variance, bits = box
+    _, _, _, _, group_lo, group_hi, group_variance, group_bits = tiles
+    count = 0
+    for g in range(group_lo.shape[1]):
+        groups[count] = g
+        count += gap_sq(lo, hi, group_lo, group_hi, g) < reach_sq(
+            True, variance, bits, group_variance[g], group_bits[g]
+        )
+    return count
 
 
 @njit(**REACH_FLAGS)

@@ -99,12 +99,21 @@ def at_scale(values, spreads, sigma, scaled):
 
 
 @njit(**FLAGS)
+def same(count, value):
+    """(count,) float32 of one value."""
+    values = np.empty(count, np.float32)
+    values[:] = value
+    return values
+
+
+@njit(**FLAGS)
 def one_pass(pose, sigma, uniform, source, target, kind, work, total):
     """All pairs at `pose`: fills `total`; the likelihood in it is that of both clouds."""
-    points, covariances, spreads, weights, weights32, reach, reach_spreads, bits = source
-    packed, a, k, target_reach, target_reach_spreads, target_bits, tile_spreads, group_spreads = target[:8]
-    matrices, own_packed, own_reach, own_target_reach, tile_reach, group_reach, column, densities = work
-    tile_lo, tile_hi, tile_variance, tile_bits, group_lo, group_hi, group_variance, group_bits = target[8:]
+    points, covariances, spreads, weights, weights32, reach, reach_spreads = source
+    packed, a, k, target_reach, target_reach_spreads, tile_spreads, group_spreads = target[:7]
+    matrices, own_packed, own_reach, own_target_reach, tile_reach, group_reach, column, densities, all_bits = work
+    bits, target_bits, tile_bits, group_bits = all_bits
+    tile_lo, tile_hi, tile_variance, _, group_lo, group_hi, group_variance, _ = target[7:]
     n = a.shape[1]
     at_scale(covariances, spreads, sigma, matrices)
     at_scale(a, k, sigma, own_packed[MATRIX:, :n])
@@ -131,12 +140,13 @@ def _build(stamp):
     """The kernel that is called from Python; `stamp` keeps its cache fresh."""
 
     @njit(**KERNEL_FLAGS)
-    def search(poses, starts, source, target, kind, world, bounds, relative_rmse, accelerated, ends, history):
+    def search(poses, starts, source, target, kind, world, bounds, relative_rmse, accelerated, bits, ends, history):
         """Run every start; `poses` (S, 12) move, `ends` (S, END_COLUMNS) tell where they came to.
 
         kind : (planar, isotropic).   world : density of a uniform mixture of all points.   bounds : (floor of σ, least,
         greatest unmatched share).   relative_rmse : a start is done when ‖δ‖² is below this share of σ and σ has
-        settled.   accelerated : see `acceleration`.   history : (S, most iterations, HISTORY_COLUMNS).
+        settled.   accelerated : see `acceleration`.   bits : how far a
+        weight may fall before its pair is left out.   history : (S, most iterations, HISTORY_COLUMNS).
         """
         _ = stamp
         floor, least, greatest = bounds
@@ -144,7 +154,7 @@ def _build(stamp):
         dimension = 2 if planar else 3
         m, n = source[0].shape[1], target[1].shape[1]
         matrix_rows, padded = target[1].shape[0], target[0].shape[1]
-        tile_count, group_count = target[6].shape[1], target[7].shape[1]
+        tile_count, group_count = target[5].shape[1], target[6].shape[1]
         for s in prange(starts.shape[0]):
             pose = poses[s]
             pose32 = np.empty(12, np.float32)
@@ -157,6 +167,7 @@ def _build(stamp):
                 np.empty((1, group_count), np.float32),
                 np.empty(padded, np.float32),
                 np.empty(m),
+                (same(m, bits), same(n, bits), same(tile_count, bits), same(group_count, bits)),
             )
             total = np.empty(TOTAL_SUMS)
             residual, taken = np.empty(STATE), np.empty(STATE)

@@ -1,0 +1,111 @@
+"""The last level: the end of the search carried to convergence on all points.
+
+Clouds of up to `cascade.SMALL` points run in one compiled loop. Dense clouds run condensed first, and on all of their
+points only where σ has come down to what the condensed ones can tell apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from .cascade import SMALL, Cascade
+from .condensing import condense
+from .em import Criteria, Outcome, expectation_maximisation
+from .expectation import FASTEST, FINEST_SIGMA, LEAST_UNMATCHED, SIGMA_FLOOR, PosteriorExpectation
+from .kernels.backend import make_pair_loop
+from .kernels.pair_loop import CUT_BITS
+from .mixture import Mixture
+from .pairs import Pairs
+from .pose_covariance import Fit
+from .result import StopReason
+from .start_search import End, Limits, Start, run_starts
+from .trace import Iteration
+
+LEVEL = 3
+# σ has come down to the floor of condensed clouds when it is within this factor of it. On all points it then begins at
+# this share of the floor, where few pairs see each other and the pose is long good enough, and falls faster.
+AT_FLOOR, BELOW_FLOOR, FASTEST_BELOW = 1.2, 0.1, 0.5
+
+Observe = Callable[[Iteration], None]
+
+
+@dataclass(frozen=True)
+class Refined:
+    """Where EM ended, the mixtures' parameters there, and the mixtures it ended on with the pairs of the two."""
+
+    outcome: Outcome
+    fit: Fit
+    pairs: Pairs
+    source: Mixture
+    target: Mixture
+
+
+def refine(
+    cascade: Cascade,
+    end: End,
+    criteria: Criteria,
+    *,
+    device: str,
+    mutuality: float,
+    relaxation: float,
+    observe: Observe | None,
+) -> Refined:
+    """Carry an end of the search to convergence; its iterations stand before those that follow."""
+    source, target, volume = cascade.source, cascade.target, cascade.volume
+    if cascade.small and mutuality == 0.0:
+        outcome, fit = _refine_compiled(cascade, end, criteria, observe)
+        return Refined(outcome, fit, make_pair_loop(source, target, device), source, target)
+
+    def run(sides: tuple[Mixture, Mixture], fit: Fit, most: int, floor: float, fastest: float) -> Refined:
+        pairs = make_pair_loop(*sides, device)
+        expectation = PosteriorExpectation(
+            pairs,
+            source.dimension,
+            fit.sigma,
+            unmatched=fit.unmatched,
+            mutuality=mutuality,
+            volume=volume,
+            fastest=fastest,
+            floor=floor,
+        )
+        outcome = expectation_maximisation(
+            expectation,
+            fit.pose,
+            replace(criteria, max_iteration=most),
+            source.dimension,
+            relaxation=relaxation,
+            level=LEVEL,
+            observe=observe,
+        )
+        ended = Fit(outcome.pose, expectation.scale.target, expectation.unmatched, volume, mutuality)
+        return Refined(outcome, ended, pairs, *sides)
+
+    found = Fit(end.pose, end.sigma, end.unmatched, volume, mutuality)
+    condensed = condense(source), condense(target)
+    dense = condensed[0] is not source or condensed[1] is not target
+    refined = run(condensed, found, criteria.max_iteration, SIGMA_FLOOR if dense else FINEST_SIGMA, FASTEST)
+    iterations = refined.outcome.iterations
+    left = criteria.max_iteration - len(iterations)
+    sharp = refined.outcome.stop_reason is StopReason.CONVERGED and refined.fit.sigma <= AT_FLOOR * SIGMA_FLOOR
+    if dense and sharp and left > 0:
+        begin = replace(refined.fit, sigma=BELOW_FLOOR * SIGMA_FLOOR)
+        refined = run((source, target), begin, left, FINEST_SIGMA, FASTEST_BELOW)
+        iterations += refined.outcome.iterations
+    return replace(refined, outcome=replace(refined.outcome, iterations=end.iterations + iterations))
+
+
+def _refine_compiled(cascade: Cascade, end: End, criteria: Criteria, observe: Observe | None) -> tuple[Outcome, Fit]:
+    """Without a return to Python, which would cost small clouds more than their pairs do."""
+    start = Start(end.pose, end.sigma, end.unmatched, FASTEST, criteria.max_iteration, follow=1.0)
+    limits = Limits(FINEST_SIGMA, LEAST_UNMATCHED, criteria.relative_rmse, accelerated=True, bits=CUT_BITS)
+    refined = run_starts(*cascade.sampled(SMALL), [start], limits=limits, volume=cascade.volume, level=LEVEL)[0]
+    if observe is not None:
+        for iteration in refined.iterations:
+            observe(iteration)
+    if not refined.iterations[-1].matched > 0.0:
+        reason = StopReason.NO_OVERLAP
+    else:
+        reason = StopReason.CONVERGED if refined.settled else StopReason.MAX_ITERATION
+    fit = Fit(refined.pose, refined.sigma, refined.unmatched, cascade.volume, mutuality=0.0)
+    return Outcome(refined.pose, end.iterations + refined.iterations, reason), fit

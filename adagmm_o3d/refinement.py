@@ -24,7 +24,8 @@ from .trace import Iteration
 
 LEVEL = 3
 # σ has come down to the floor of condensed clouds when it is within this factor of it. On all points it then begins at
-# this share of the floor, where few pairs see each other and the pose is long good enough, and falls faster.
+# this share of the floor, where few pairs see each other and the pose is long good enough, and falls faster. So fine, it
+# is clear which points belong together, and one posterior of a pair does.
 AT_FLOOR, BELOW_FLOOR, FASTEST_BELOW = 1.2, 0.1, 0.5
 
 Observe = Callable[[Iteration], None]
@@ -57,7 +58,9 @@ def refine(
         outcome, fit = _refine_compiled(cascade, end, criteria, observe)
         return Refined(outcome, fit, make_pair_loop(source, target, device), source, target)
 
-    def run(sides: tuple[Mixture, Mixture], fit: Fit, most: int, floor: float, fastest: float) -> Refined:
+    def run(
+        sides: tuple[Mixture, Mixture], fit: Fit, most: int, floor: float, fastest: float, mutuality: float
+    ) -> Refined:
         pairs = make_pair_loop(*sides, device)
         expectation = PosteriorExpectation(
             pairs,
@@ -84,13 +87,13 @@ def refine(
     found = Fit(end.pose, end.sigma, end.unmatched, volume, mutuality)
     condensed = condense(source), condense(target)
     dense = condensed[0] is not source or condensed[1] is not target
-    refined = run(condensed, found, criteria.max_iteration, SIGMA_FLOOR if dense else FINEST_SIGMA, FASTEST)
+    refined = run(condensed, found, criteria.max_iteration, SIGMA_FLOOR if dense else FINEST_SIGMA, FASTEST, mutuality)
     iterations = refined.outcome.iterations
     left = criteria.max_iteration - len(iterations)
     sharp = refined.outcome.stop_reason is StopReason.CONVERGED and refined.fit.sigma <= AT_FLOOR * SIGMA_FLOOR
     if dense and sharp and left > 0:
         begin = replace(refined.fit, sigma=BELOW_FLOOR * SIGMA_FLOOR)
-        refined = run((source, target), begin, left, FINEST_SIGMA, FASTEST_BELOW)
+        refined = run((source, target), begin, left, FINEST_SIGMA, FASTEST_BELOW, 0.0)
         iterations += refined.outcome.iterations
     return replace(refined, outcome=replace(refined.outcome, iterations=end.iterations + iterations))
 

@@ -24,7 +24,7 @@ from .trace import Iteration
 
 LEVEL = 3
 # σ has come down to the floor of condensed clouds when it is within this factor of it. On all points it then begins at
-# this share of the floor, where few pairs see each other and the pose is long good enough, and falls faster. So fine, it
+# this share of the floor, where few pairs see each other and the pose is long good enough, and falls faster. There it
 # is clear which points belong together, and one posterior of a pair does.
 AT_FLOOR, BELOW_FLOOR, FASTEST_BELOW = 1.2, 0.1, 0.5
 

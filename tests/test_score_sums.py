@@ -62,10 +62,13 @@ class Pairs:
         of_density = self.change(lambda delta: self.at(delta)[0])
         of_score = self.change(lambda delta: self.at(delta)[0][..., None] * self.at(delta)[2])
         w = weights * density
+        # left out: at an optimum the pulls v sum to nothing
+        of_lever_arms = np.zeros_like(of_score)
+        of_lever_arms[..., :3, 3:] = density[..., None, None] * np.cross(np.eye(3), j[..., None, 3:]).swapaxes(-1, -2)
         return (
             (w[..., None] * j).sum(axis=axis),
             -(shares[..., None] * of_density).sum(axis=axis),
-            (weights[..., None, None] * of_score).sum(axis=axis),
+            (weights[..., None, None] * (of_score - of_lever_arms)).sum(axis=axis),
             ((w**2)[..., None, None] * j[..., :, None] * j[..., None, :]).sum(axis=axis),
         )
 

@@ -10,13 +10,14 @@ FILES = (
     "test_kernels.py",
     "test_search_kernel.py",
     "test_acceleration.py",
+    "test_culling.py",
     "test_score_sums.py",
     "test_pose_covariance.py",
 )
 # Fast enough by the interpreter; the others are about speed, threads or large clouds.
 CHOSEN = (
-    "(test_kernels and not threads and not 500-2000) or test_search_kernel or test_acceleration or test_score_sums"
-    " or (moments and 0.5-anisotropic)"
+    "(test_kernels and not threads and not 500-2000) or test_search_kernel or test_acceleration"
+    " or test_culling or test_score_sums or (moments and 0.5-anisotropic)"
 )
 
 

@@ -7,13 +7,14 @@ SIZES = "3-3- or 33-65 or 3-5- or 137-7- or 33-300-0.3 or 37-193"
 KERNELS = [
     "tests/test_kernels.py",
     "-k",
-    f"test_culling or (naive and ({SIZES})) or far_tiles or gathered or exp2 or component",
+    f"test_culling or (naive and ({SIZES})) or far_tiles or gathered or filled or exp2 or component",
 ]
 CONVOLVED = [
     "tests/test_kernels.py",
     "tests/test_search_kernel.py",
     "-k",
-    f"(posterior_sums and ({SIZES})) or gathered or groups or variances_of_both or first_of_far or step_on_the_naive",
+    f"(posterior_sums and ({SIZES})) or filled or gathered or groups or variances_of_both or first_of_far"
+    " or step_on_the_naive",
 ]
 CULLING = ["tests/test_culling.py", *KERNELS]
 SEARCH = ["tests/test_search_kernel.py"]
@@ -133,7 +134,7 @@ CPU = {
         ("column_convolved_isotropic", "precision = F1 / (a[j] + b)", "precision = F1 / a[j]"),
         ("column_convolved_isotropic", "(F1 if planar else math.sqrt(precision))", "F1"),
         ("columns[j] += own * (share[j] * precision", "columns[j] = own * (share[j] * precision"),
-        ("packed[FACTOR] = points, weights, 1.0", "packed[FACTOR] = points, weights, 0.5"),
+        ("packed[FACTOR] = points, weights, 1.0", "packed[FACTOR] = points, weights, 0.0"),
         ("pack", "MATRIX + 3, MATRIX + 5] if", "MATRIX + 3] if"),
         ("near[r, i] = target[r, index[i]]", "near[r, i] = target[r, index[0]]"),
         ("near[r, count:padded] = F0", "near[r, count:padded] = F1"),

@@ -175,6 +175,24 @@ def test_more_points_in_reach_than_are_gathered_at_once(dimension, sigma):
     np.testing.assert_allclose([sums.weight, sums.energy], [expected.weight, expected.energy], rtol=2e-5, atol=0)
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_what_tiles_are_filled_up_with_says_nothing(dimension):
+    # A source so sharp that its own covariances have no determinant in float32; the sums of both sides' have.
+    rng = np.random.default_rng(10)
+    factors = rng.normal(size=(TILE + 4, dimension, dimension))
+    covariances = np.eye(dimension) + 0.1 * factors @ factors.transpose(0, 2, 1)
+    sigma, uniform = 1e-7 if dimension == 3 else 1e-13, 0.05
+    target = rng.normal(size=(TILE + 4, dimension))
+    source = target[:5] + 0.3 * np.sqrt(sigma) * rng.normal(size=(5, dimension))
+    sharp = 1e-7 * covariances[:5]
+    loop = PairLoop(make_mixture("source", source, sharp), make_mixture("target", target, covariances))
+    sums = loop.posterior_sums(np.eye(4), sigma, uniform)
+    assert np.isfinite(sums.hessian).all() and np.isfinite(sums.gradient).all()
+    nothing = np.zeros(len(target))
+    expected = reference.posterior_sums(source, sigma * sharp, target, sigma * covariances, uniform, nothing, 0.0)
+    np.testing.assert_allclose(sums.row_weights, expected.densities / (expected.densities + uniform), rtol=1e-4)
+
+
 def seen(source, target, sigma):
     """Whether source points have any density of the target at them at all."""
     loop = PairLoop(make_mixture("source", source, None), make_mixture("target", target, None))

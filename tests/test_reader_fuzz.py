@@ -143,6 +143,8 @@ def change_chunk(files, name, a, b, value):
         end = at + 12 + int.from_bytes(data[at : at + 4], "big")
         chunks.append(data[at + 4 : end - 4])
         at = end
+    if not chunks:
+        return
     changed = bytearray(chunks[a % len(chunks)])
     at = b % len(changed)
     changed[at : at + len(value)] = value

@@ -48,16 +48,21 @@ class Side:
         self.spreads = factors @ factors.transpose(0, 2, 1) * (0.0 if isotropic else 1.0)
         self.weights = rng.uniform(0.5, 2.0, n)
         self.weights /= self.weights.sum()
-        points = np.zeros((n, 3))
-        points[:, :dimension] = self.points
+        self.dimension, self.isotropic = dimension, isotropic
+        self.build()
+
+    def build(self):
+        """The mixture of what the side is now."""
+        points = np.zeros((len(self.points), 3))
+        points[:, : self.dimension] = self.points
         self.mixture = MergedMixture(
             points,
             lifted(self.covariances, 1.0),
             lifted(self.spreads, 0.0),
             self.weights,
             np.linalg.eigvalsh(self.covariances)[:, -1],
-            dimension,
-            isotropic,
+            self.dimension,
+            self.isotropic,
         )
 
     def at(self, sigma):
@@ -263,6 +268,28 @@ def test_tiles_and_groups_out_of_reach_are_left_out_and_nothing_else(dimension, 
         np.testing.assert_allclose(iteration.energy, sums.energy / sums.weight, rtol=1e-4)
         expected = p.likelihood(p.plain(end.pose), end.sigma, end.unmatched) + 2.0 * math.log(end.unmatched)
         np.testing.assert_allclose(end.log_likelihood, expected, rtol=1e-4)
+
+
+@pytest.mark.parametrize("vague", ["source", "target"])
+@pytest.mark.parametrize("what", ["covariances", "spreads"])
+def test_a_pair_reaches_as_far_as_the_variance_of_either_side_does(vague, what, monkeypatch):
+    # It weighs exp(-12.5), 2^-18: within the reach of the vague side, far out of that of the sharp one.
+    monkeypatch.setattr(coarse, "COARSE_BITS", 24.0)
+    p, sigma = Problem(3, False, sizes=(9, TILE + 40)), 0.5
+    p.pose = np.eye(4)
+    p.source.points *= 1e-3
+    p.target.points *= 1e-3
+    p.target.points[:TILE, 0] += 1.0
+    p.target.points[TILE:, 0] += 50.0
+    for side in (p.source, p.target):
+        scale = 1.0 / 25.0 if side is getattr(p, vague) else 1e-6
+        for name in ("covariances", "spreads"):
+            factor = 1e-6 if name != what else scale
+            getattr(side, name)[:] = factor * np.eye(3) / (sigma if name == "covariances" else 1.0)
+        side.build()
+    (end,) = p.run(sigma=sigma, unmatched=0.3)
+    sums, uniform = p.sums(p.pose, sigma, 0.3)
+    np.testing.assert_allclose(end.iterations[0].matched, p.matched(sums, uniform), rtol=2e-3)
 
 
 @shapes

@@ -49,31 +49,36 @@ def mutate(mode: str, files: list[str]) -> int:
 
     survivors = 0
     todo = [(file, *m) for file, mutants in MUTANTS[mode].items() if not files or file in files for m in mutants]
-    for file, text, replacement in [("", "", ""), *todo]:
+    for file, *place, text, replacement in [("", "", ""), *todo]:
         with tempfile.TemporaryDirectory() as folder:
             package = Path(folder) / "adagmm_o3d"
             shutil.copytree(ROOT / "adagmm_o3d", package, ignore=shutil.ignore_patterns("__pycache__"))
             if file:
-                replace_once(package / "kernels" / ("cuda" if mode == "cuda" else "") / file, text, replacement)
+                replace_once(package / "kernels" / ("cuda" if mode == "cuda" else "") / file, text, replacement, *place)
             killer = first_failure(Path(folder), TESTS_OF[mode][file])
         if not file:
             if killer:
                 raise SystemExit(f"{mode}: {killer} fails without any mutant")
             continue
         survivors += not killer
-        print(f"{file}: {shown(text)} -> {shown(replacement)}: {killer or 'SURVIVED'}", flush=True)
+        where = ".".join([file, *place])
+        print(f"{where}: {shown(text)} -> {shown(replacement)}: {killer or 'SURVIVED'}", flush=True)
     print(f"{mode}: {len(todo)} mutants, {survivors} survived", flush=True)
     return int(survivors > 0)
 
 
-def replace_once(path: Path, text: str, replacement: str) -> None:
+def replace_once(path: Path, text: str, replacement: str, function: str = "") -> None:
     """Fails loudly where the kernel has changed and the mutant is none any more."""
-    source = path.read_text()
+    before, after, source = "", "", path.read_text()
+    if function:
+        before, start, source = source.partition(f"\ndef {function}(")
+        body, end, after = source.partition("\n\n\n")
+        before, source, after = before + start, body, end + after
     if source.count(text) != 1:
         raise SystemExit(
-            f"{path.name}: {text!r} is there {source.count(text)} times, not once; bring the list up to date"
+            f"{path.name} {function}: {text!r} is there {source.count(text)} times, not once; bring the list up to date"
         )
-    path.write_text(source.replace(text, replacement))
+    path.write_text(before + source.replace(text, replacement) + after)
 
 
 def first_failure(folder: Path, tests: list[str]) -> str:

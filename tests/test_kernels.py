@@ -6,9 +6,10 @@ import pytest
 import reference
 from mixtures import random_points_and_covariances, random_pose
 
-from adagmm_o3d.kernels.culling import CHUNK, CLUSTER, GROUP, TILE
+from adagmm_o3d.kernels.compiling import LOG2_SCALE
+from adagmm_o3d.kernels.culling import CHUNK, CLUSTER, GROUP, RUN, TILE
 from adagmm_o3d.kernels.exp2 import exp2_float32
-from adagmm_o3d.kernels.pair_loop import PairLoop
+from adagmm_o3d.kernels.pair_loop import BANDS, CUT_BITS, PairLoop
 from adagmm_o3d.mixture import make_mixture
 
 FREE = {2: [2, 3, 4], 3: [0, 1, 2, 3, 4, 5]}
@@ -81,7 +82,7 @@ def test_the_gradient_is_the_slope_of_equation_5(dimension, isotropic):
 
 @shapes
 @pytest.mark.parametrize("mutuality", [0.0, 0.3, 0.5])
-@pytest.mark.parametrize(("m", "n"), [(3, 5), (CLUSTER + 1, TILE), (CHUNK + 1, 300)])
+@pytest.mark.parametrize(("m", "n"), [(3, 5), (CLUSTER + 1, TILE), (CHUNK + 1, 300), (BANDS * CLUSTER + 9, 7)])
 def test_posterior_sums_match_the_naive_reference(dimension, isotropic, mutuality, m, n):
     case = Case(11 * m + n, m, n, dimension, isotropic)
     sigma, uniform = 0.2, 0.05
@@ -150,6 +151,46 @@ def test_whole_groups_of_far_tiles_are_left_out_and_nothing_else(dimension, isot
     most = expected.column_densities.max()
     np.testing.assert_allclose(sums.column_densities, expected.column_densities, rtol=2e-5, atol=1e-6 * most)
     np.testing.assert_allclose([sums.weight, sums.energy], [expected.weight, expected.energy], rtol=2e-5, atol=0)
+    free, scale = FREE[dimension], np.abs(expected.hessian).max()
+    np.testing.assert_allclose(sums.hessian[np.ix_(free, free)], expected.hessian, rtol=2e-5, atol=5e-6 * scale)
+    np.testing.assert_allclose(sums.gradient[free], expected.gradient, rtol=2e-5, atol=5e-6 * scale)
+
+
+@pytest.mark.parametrize(("dimension", "sigma"), [(2, 0.02), (3, 0.04)])
+def test_more_points_in_reach_than_are_gathered_at_once(dimension, sigma):
+    # Every group of tiles lies partly within reach of the one cluster.
+    case = Case(9, CLUSTER, 9 * GROUP * TILE // 2, dimension, isotropic=True)
+    case.y[:], uniform = 0.02 * case.y, 0.05
+    loop = PairLoop(make_mixture("source", case.y, None), make_mixture("target", case.target, None))
+    eye = np.broadcast_to(np.eye(dimension), (len(case.target), dimension, dimension))
+    nothing = np.zeros(len(case.target))
+    args = (case.y, sigma * eye[:CLUSTER], case.target, sigma * eye, uniform, nothing, 0.0)
+    expected, sums = reference.posterior_sums(*args), loop.posterior_sums(np.eye(4), sigma, uniform)
+    in_reach = np.linalg.norm(case.target, axis=1) < np.sqrt(2.0 * sigma * CUT_BITS / LOG2_SCALE)
+    assert RUN < in_reach.sum() < 0.9 * len(case.target)
+    posterior = expected.densities / (expected.densities + uniform)
+    np.testing.assert_allclose(sums.row_weights, posterior, rtol=2e-5, atol=1e-6)
+    most = expected.column_densities.max()
+    np.testing.assert_allclose(sums.column_densities, expected.column_densities, rtol=2e-5, atol=1e-6 * most)
+    np.testing.assert_allclose([sums.weight, sums.energy], [expected.weight, expected.energy], rtol=2e-5, atol=0)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_what_tiles_are_filled_up_with_says_nothing(dimension):
+    # A source so sharp that its own covariances have no determinant in float32; the sums of both sides' have.
+    rng = np.random.default_rng(10)
+    factors = rng.normal(size=(TILE + 4, dimension, dimension))
+    covariances = np.eye(dimension) + 0.1 * factors @ factors.transpose(0, 2, 1)
+    sigma, uniform = 1e-7 if dimension == 3 else 1e-13, 0.05
+    target = rng.normal(size=(TILE + 4, dimension))
+    source = target[:5] + 0.3 * np.sqrt(sigma) * rng.normal(size=(5, dimension))
+    sharp = 1e-7 * covariances[:5]
+    loop = PairLoop(make_mixture("source", source, sharp), make_mixture("target", target, covariances))
+    sums = loop.posterior_sums(np.eye(4), sigma, uniform)
+    assert np.isfinite(sums.hessian).all() and np.isfinite(sums.gradient).all()
+    nothing = np.zeros(len(target))
+    expected = reference.posterior_sums(source, sigma * sharp, target, sigma * covariances, uniform, nothing, 0.0)
+    np.testing.assert_allclose(sums.row_weights, expected.densities / (expected.densities + uniform), rtol=1e-4)
 
 
 def seen(source, target, sigma):

@@ -7,6 +7,7 @@ tries so many of each kind, other ones every time; without it the few that are t
 """
 
 import contextlib
+import itertools
 import os
 import resource
 import signal
@@ -142,6 +143,8 @@ def change_chunk(files, name, a, b, value):
         end = at + 12 + int.from_bytes(data[at : at + 4], "big")
         chunks.append(data[at + 4 : end - 4])
         at = end
+    if not chunks:
+        return
     changed = bytearray(chunks[a % len(chunks)])
     at = b % len(changed)
     changed[at : at + len(value)] = value
@@ -381,15 +384,34 @@ def test_bytes_as_video(suffix, magic, data):
     at_path(magic + data, suffix, lambda path: read_everything(path) and None, InputError, memory=None)
 
 
+@pytest.mark.parametrize("kinds", [k for n in range(4) for k in itertools.permutations(("IHDR", "IDAT", "IEND"), n)])
+@pytest.mark.parametrize("emptied", [(), ("IHDR",), ("IDAT",), ("IHDR", "IDAT")])
+def test_an_image_of_some_chunks_in_any_order(kinds, emptied):
+    """Whole chunks with the right checksums, of which the one with the size is not always there or the first."""
+    contents = {"IHDR": png_header(4, 4, 16, 0), "IDAT": zlib.compress(b"\0" * 36), "IEND": b""}
+    contents |= dict.fromkeys(emptied, b"")
+    data = PNG_SIGNATURE + b"".join(png_chunk(kind.encode(), contents[kind]) for kind in kinds)
+    image = at_path(data, ".png", read_depth, RecordingError)
+    assert (image is not None) == (kinds == ("IHDR", "IDAT", "IEND") and not emptied)
+    at_path(data, ".png", read_color, RecordingError)
+    at_path(data, ".png", image_size, RecordingError)
+
+
 # Pictures that say they are larger than they can be
 
 
+def png_header(width: int, height: int, bits: int, color_type: int) -> bytes:
+    return width.to_bytes(4, "big") + height.to_bytes(4, "big") + bytes([bits, color_type, 0, 0, 0])
+
+
+def png_chunk(kind: bytes, data: bytes) -> bytes:
+    return len(data).to_bytes(4, "big") + kind + data + zlib.crc32(kind + data).to_bytes(4, "big")
+
+
 def png(width: int, height: int, bits: int, color_type: int, pixels: bytes) -> bytes:
-    header = width.to_bytes(4, "big") + height.to_bytes(4, "big") + bytes([bits, color_type, 0, 0, 0])
+    header = png_header(width, height, bits, color_type)
     chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(pixels)), (b"IEND", b""))
-    return PNG_SIGNATURE + b"".join(
-        len(data).to_bytes(4, "big") + kind + data + zlib.crc32(kind + data).to_bytes(4, "big") for kind, data in chunks
-    )
+    return PNG_SIGNATURE + b"".join(png_chunk(*chunk) for chunk in chunks)
 
 
 def jpeg(width: int, height: int, start_of_frame: int) -> bytes:

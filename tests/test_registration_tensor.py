@@ -7,6 +7,7 @@ from mixtures import random_pose
 from test_registration import CALLBACK_KEYS, OPEN3D_KEYS, Pair, bits
 
 from adagmm_o3d import estimate_surface_covariances, registration_adaptive_gmm
+from adagmm_o3d.errors import InputError
 from adagmm_o3d.evaluation import pose_errors
 
 core, treg = o3d.core, o3d.t.pipelines.registration
@@ -168,3 +169,22 @@ def test_the_callback_gets_what_open3ds_gets_and_more(pair):
         assert (a.dtype, a.device, tuple(a.shape)) == (b.dtype, b.device, tuple(b.shape))
     assert [s["iteration_index"].item() for s in ours] == list(range(result.num_iterations))
     np.testing.assert_array_equal(ours[-1]["transformation"].numpy(), result.transformation.numpy())
+
+
+class Elsewhere(o3d.t.geometry.PointCloud):
+    """A cloud that says it is on a GPU; what else is in it is real."""
+
+    @property
+    def device(self):
+        return o3d.core.Device("CUDA:0")
+
+
+@pytest.mark.parametrize("moved", ["source", "target"])
+def test_clouds_on_different_devices_are_refused_and_both_named(moved):
+    points = o3d.core.Tensor(np.random.default_rng(0).normal(size=(20, 3)))
+    kinds = (Elsewhere, o3d.t.geometry.PointCloud)
+    source, target = (kind(points) for kind in (kinds if moved == "source" else kinds[::-1]))
+    with pytest.raises(InputError) as caught:
+        registration_adaptive_gmm(source, target, 0.1)
+    here, there = ("CUDA:0", "CPU:0") if moved == "source" else ("CPU:0", "CUDA:0")
+    assert str(caught.value) == f"target: expected on the device of source, {here}, got {there}; move one with .to()"

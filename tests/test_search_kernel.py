@@ -7,17 +7,27 @@ import pytest
 import reference
 from mixtures import random_points_and_covariances, random_pose
 
+from adagmm_o3d import coarse
 from adagmm_o3d.coarse import MergedMixture
 from adagmm_o3d.expectation import MOST_UNMATCHED
+from adagmm_o3d.kernels.acceleration import LOG_SIGMA, STATE, UNMATCHED_SHARE, accelerate, empty_memory, forget
+from adagmm_o3d.kernels.culling import GROUP, TILE
 from adagmm_o3d.kernels.farthest_points import farthest_points
 from adagmm_o3d.start_search import Limits, Start, run_starts
 
 FREE = {2: [2, 3, 4], 3: [0, 1, 2, 3, 4, 5]}
 VOLUME = 20.0
-LIMITS = Limits(floor=1e-4, least_unmatched=0.02, step=1e-12)
+COARSE_BITS_SHIPPED = coarse.COARSE_BITS
+LIMITS = Limits(floor=1e-4, least_unmatched=0.02, relative_rmse=1e-24)
 shapes = pytest.mark.parametrize(
     ("dimension", "isotropic"), [(2, True), (2, False), (3, True), (3, False)], ids=["2D", "2D a", "3D", "3D a"]
 )
+
+
+@pytest.fixture(autouse=True)
+def every_pair_counts(monkeypatch):
+    """As far as float32 tells; what the search leaves out by itself has a test of its own."""
+    monkeypatch.setattr(coarse, "COARSE_BITS", 40.0)
 
 
 def lifted(matrices, zz):
@@ -38,10 +48,21 @@ class Side:
         self.spreads = factors @ factors.transpose(0, 2, 1) * (0.0 if isotropic else 1.0)
         self.weights = rng.uniform(0.5, 2.0, n)
         self.weights /= self.weights.sum()
-        points = np.zeros((n, 3))
-        points[:, :dimension] = self.points
+        self.dimension, self.isotropic = dimension, isotropic
+        self.build()
+
+    def build(self):
+        """The mixture of what the side is now."""
+        points = np.zeros((len(self.points), 3))
+        points[:, : self.dimension] = self.points
         self.mixture = MergedMixture(
-            points, lifted(self.covariances, 1.0), lifted(self.spreads, 0.0), self.weights, dimension, isotropic
+            points,
+            lifted(self.covariances, 1.0),
+            lifted(self.spreads, 0.0),
+            self.weights,
+            np.linalg.eigvalsh(self.covariances)[:, -1],
+            self.dimension,
+            self.isotropic,
         )
 
     def at(self, sigma):
@@ -49,10 +70,10 @@ class Side:
 
 
 class Problem:
-    def __init__(self, dimension, isotropic, seed=0):
+    def __init__(self, dimension, isotropic, seed=0, sizes=(9, 14)):
         rng = np.random.default_rng([seed, dimension, isotropic])
         self.dimension = dimension
-        self.source, self.target = (Side(rng, n, dimension, isotropic) for n in (9, 14))
+        self.source, self.target = (Side(rng, n, dimension, isotropic) for n in sizes)
         self.pose = random_pose(rng, dimension, angle=0.5, distance=0.3)
 
     def run(self, sigma=0.2, unmatched=0.3, fastest=0.5, iterations=1, follow=1.0, limits=LIMITS, poses=None):
@@ -94,20 +115,52 @@ class Problem:
     def plain(self, pose):
         return pose if self.dimension == 3 else pose[np.ix_([0, 1, 3], [0, 1, 3])]
 
+    def newton_step(self, sums, pose):
+        """The tangent (6,) that the M-step takes."""
+        delta = np.zeros(6)
+        delta[FREE[self.dimension]] = -np.linalg.solve(sums.hessian, sums.gradient)
+        return delta
+
+    def moved(self, delta, pose):
+        """`pose` turned by the first part of the tangent (6,) about the origin, then shifted by the second."""
+        delta = delta[FREE[self.dimension]]
+        turns = len(delta) - self.dimension
+        turn = np.concatenate([delta[:turns], np.zeros(self.dimension)])
+        new = np.eye(self.dimension + 1)
+        new[:-1, :-1], new[:-1, -1] = reference.apply_tangent(turn, pose[:-1, :-1], pose[:-1, -1])
+        new[:-1, -1] += delta[turns:]
+        return new
+
+    def expected_run(self, sigma, unmatched, fastest, count, follow, limits):
+        """EM by the naive sums: (pose, σ, unmatched share) after each of `count` iterations."""
+        pose, memory, taken, states = self.pose, empty_memory(), np.empty(STATE), []
+        forget(memory)
+        for _ in range(count):
+            sums, uniform = self.sums(pose, sigma, unmatched)
+            observed = follow * sigma * sums.energy / sums.weight / self.dimension
+            wanted, slowest = max(observed, limits.floor), fastest * sigma
+            share = min(max(1.0 - self.matched(sums, uniform), limits.least_unmatched), MOST_UNMATCHED)
+            new = max(slowest, wanted)
+            residual = np.concatenate([self.newton_step(sums, pose), [math.log(new / sigma), share - unmatched]])
+            if limits.accelerated and slowest <= wanted:
+                accelerate(residual, math.sqrt(sigma), memory, taken)
+                new = max(sigma * math.exp(taken[LOG_SIGMA]), slowest, limits.floor)
+            else:
+                forget(memory)
+                taken[:] = residual
+            pose = self.moved(taken, pose)
+            unmatched = min(max(unmatched + taken[UNMATCHED_SHARE], limits.least_unmatched), MOST_UNMATCHED)
+            sigma = new
+            states.append((pose, sigma, unmatched))
+        return states
+
 
 @shapes
 def test_an_iteration_is_a_gauss_newton_step_on_the_naive_sums(dimension, isotropic):
     p = Problem(dimension, isotropic)
     (end,) = p.run(sigma=0.2, unmatched=0.3)
     sums, uniform = p.sums(p.pose, 0.2, 0.3)
-    delta = -np.linalg.solve(sums.hessian, sums.gradient)
-    turns = len(delta) - dimension
-    R, t = reference.apply_tangent(
-        np.concatenate([delta[:turns], np.zeros(dimension)]), p.pose[:-1, :-1], p.pose[:-1, -1]
-    )
-    expected = np.eye(dimension + 1)
-    expected[:-1, :-1], expected[:-1, -1] = R, t + delta[turns:]
-    np.testing.assert_allclose(p.plain(end.pose), expected, rtol=0, atol=2e-5)
+    np.testing.assert_allclose(p.plain(end.pose), p.moved(p.newton_step(sums, p.pose), p.pose), rtol=0, atol=2e-5)
     (iteration,) = end.iterations
     np.testing.assert_allclose(iteration.sigma, 0.2, rtol=1e-12)
     np.testing.assert_allclose(iteration.energy, sums.energy / sums.weight, rtol=1e-5)
@@ -116,11 +169,47 @@ def test_an_iteration_is_a_gauss_newton_step_on_the_naive_sums(dimension, isotro
 
 
 @shapes
+@pytest.mark.parametrize("accelerated", [False, True])
+def test_iterations_follow_each_other_as_on_the_naive_sums(dimension, isotropic, accelerated):
+    # σ falls as fast as it may at first, and is then that of the residuals or the floor: only then is EM accelerated.
+    p = Problem(dimension, isotropic)
+    for follow, floor in ((1.0, 0.01), (0.0, 0.15)):
+        limits = Limits(floor=floor, least_unmatched=0.02, relative_rmse=0.0, accelerated=accelerated)
+        expected = p.expected_run(0.3, 0.3, 0.8, 8, follow, limits)
+        (end,) = p.run(sigma=0.3, unmatched=0.3, fastest=0.8, iterations=8, follow=follow, limits=limits)
+        poses = [p.plain(iteration.pose) for iteration in end.iterations]
+        np.testing.assert_allclose(poses, [pose for pose, _, _ in expected], rtol=0, atol=1e-4)
+        sigmas = [iteration.sigma for iteration in end.iterations[1:]] + [end.sigma]
+        np.testing.assert_allclose(sigmas, [sigma for _, sigma, _ in expected], rtol=1e-4)
+        np.testing.assert_allclose(end.unmatched, expected[-1][2], rtol=1e-4)
+
+
+@shapes
+def test_acceleration_leads_to_the_same_end_sooner(dimension, isotropic):
+    # From near an optimum: from farther away a long step may end in another one.
+    p = Problem(dimension, isotropic)
+    limits = Limits(floor=0.1, least_unmatched=0.02, relative_rmse=1e-9)
+    (plain,) = p.run(sigma=0.1, fastest=0.9, iterations=500, follow=0.0, limits=limits)
+    beside = p.moved(np.full(6, 0.05), p.plain(plain.pose))
+    ends = []
+    for accelerated in (False, True):
+        limits = Limits(floor=0.1, least_unmatched=0.02, relative_rmse=1e-9, accelerated=accelerated)
+        ends += p.run(sigma=0.1, fastest=0.9, iterations=500, follow=0.0, limits=limits, poses=[beside])
+    slow, fast = ends
+    assert plain.settled and slow.settled and fast.settled
+    for end in ends:
+        np.testing.assert_allclose(end.pose, plain.pose, rtol=0, atol=2e-3)
+        np.testing.assert_allclose([end.sigma, end.unmatched], [plain.sigma, plain.unmatched], rtol=2e-3)
+    assert len(fast.iterations) < 0.7 * len(slow.iterations)
+
+
+@shapes
 def test_where_it_ends_is_judged_by_the_likelihood_of_both_clouds(dimension, isotropic):
     p = Problem(dimension, isotropic)
     for end in p.run(poses=[p.pose, random_pose(np.random.default_rng(1), dimension)]):
-        expected = p.likelihood(p.plain(end.pose), end.sigma, LIMITS.judged_unmatched)
-        np.testing.assert_allclose(end.log_likelihood, expected, rtol=1e-5)
+        # The sums are relative to the uniform part: that is an end's own, and the same unit of density for all.
+        expected = p.likelihood(p.plain(end.pose), end.sigma, end.unmatched) + 2.0 * math.log(end.unmatched)
+        np.testing.assert_allclose(end.log_likelihood, expected, rtol=1e-5, atol=1e-5)
 
 
 @shapes
@@ -129,11 +218,11 @@ def test_sigma_follows_the_residuals_within_its_bounds(dimension, isotropic):
     sums, uniform = p.sums(p.pose, 0.2, 0.3)
     observed = 0.2 * sums.energy / sums.weight / dimension
     for fastest, follow, floor in ((0.01, 1.0, 1e-4), (0.9, 0.0, 1e-4), (0.3, 0.5, 1e-4), (0.01, 0.0, 0.17)):
-        limits = Limits(floor=floor, least_unmatched=0.02, step=1e-12)
+        limits = Limits(floor=floor, least_unmatched=0.02, relative_rmse=1e-24)
         (end,) = p.run(fastest=fastest, follow=follow, limits=limits)
         np.testing.assert_allclose(end.sigma, max(fastest * 0.2, follow * observed, floor), rtol=1e-5)
     for least in (0.02, 0.98):
-        (end,) = p.run(limits=Limits(floor=1e-4, least_unmatched=least, step=1e-12))
+        (end,) = p.run(limits=Limits(floor=1e-4, least_unmatched=least, relative_rmse=1e-24))
         expected = min(max(1.0 - p.matched(sums, uniform), least), MOST_UNMATCHED)
         np.testing.assert_allclose(end.unmatched, expected, rtol=1e-5)
 
@@ -141,17 +230,77 @@ def test_sigma_follows_the_residuals_within_its_bounds(dimension, isotropic):
 @shapes
 def test_it_is_settled_when_neither_pose_nor_sigma_move(dimension, isotropic):
     p = Problem(dimension, isotropic)
-    limits = Limits(floor=0.1, least_unmatched=0.1, step=1e-4)
+    limits = Limits(floor=0.1, least_unmatched=0.1, relative_rmse=1e-7)
     (end,) = p.run(sigma=0.1, fastest=0.5, iterations=300, follow=0.0, limits=limits)
     assert end.settled and 3 < len(end.iterations) < 300 and end.sigma == 0.1
+    # ‖δ‖ is the distance between poses in turned and shifted directions, up to √2 for the rotation's matrix.
     before, last = (p.plain(iteration.pose) for iteration in end.iterations[-2:])
     assert np.linalg.norm(last - before) < 2e-4
     earlier, later = (p.plain(iteration.pose) for iteration in end.iterations[-3:-1])
     assert np.linalg.norm(later - earlier) > 1e-5
-    (falling,) = p.run(sigma=0.3, fastest=0.98, iterations=3, follow=0.0, limits=Limits(0.1, 0.1, step=100.0))
+    never_moving = Limits(0.1, 0.1, relative_rmse=1e5)
+    (falling,) = p.run(sigma=0.3, fastest=0.98, iterations=3, follow=0.0, limits=never_moving)
     assert not falling.settled and len(falling.iterations) == 3
-    (resting,) = p.run(sigma=0.3, fastest=0.995, iterations=3, follow=0.0, limits=Limits(0.1, 0.1, step=100.0))
+    (resting,) = p.run(sigma=0.3, fastest=0.995, iterations=3, follow=0.0, limits=never_moving)
     assert resting.settled and len(resting.iterations) == 1
+
+
+@shapes
+def test_what_a_step_may_be_to_rest_grows_with_sigma(dimension, isotropic):
+    p = Problem(dimension, isotropic)
+    sums, _ = p.sums(p.pose, 0.2, 0.3)
+    moved = float((p.newton_step(sums, p.pose) ** 2).sum()) / 0.2
+    for share, settled in ((1.001, True), (0.999, False)):
+        limits = Limits(floor=0.2, least_unmatched=0.02, relative_rmse=share * moved)
+        (end,) = p.run(sigma=0.2, unmatched=0.3, follow=0.0, limits=limits)
+        assert end.settled is settled
+
+
+@shapes
+def test_tiles_and_groups_out_of_reach_are_left_out_and_nothing_else(dimension, isotropic):
+    # Near components within reach of each other, in several groups of tiles; with spreads where anisotropic.
+    p = Problem(dimension, isotropic, sizes=(10, 2 * GROUP * TILE + 5))
+    for sigma in (1e-2, 1e-3):
+        (end,) = p.run(sigma=sigma, unmatched=0.3)
+        sums, uniform = p.sums(p.pose, sigma, 0.3)
+        (iteration,) = end.iterations
+        np.testing.assert_allclose(iteration.matched, p.matched(sums, uniform), rtol=2e-5)
+        np.testing.assert_allclose(iteration.energy, sums.energy / sums.weight, rtol=1e-4)
+        expected = p.likelihood(p.plain(end.pose), end.sigma, end.unmatched) + 2.0 * math.log(end.unmatched)
+        np.testing.assert_allclose(end.log_likelihood, expected, rtol=1e-4)
+
+
+@pytest.mark.parametrize("vague", ["source", "target"])
+@pytest.mark.parametrize("what", ["covariances", "spreads"])
+def test_a_pair_reaches_as_far_as_the_variance_of_either_side_does(vague, what, monkeypatch):
+    # It weighs exp(-12.5), 2^-18: within the reach of the vague side, far out of that of the sharp one.
+    monkeypatch.setattr(coarse, "COARSE_BITS", 24.0)
+    p, sigma = Problem(3, False, sizes=(9, TILE + 40)), 0.5
+    p.pose = np.eye(4)
+    p.source.points *= 1e-3
+    p.target.points *= 1e-3
+    p.target.points[:TILE, 0] += 1.0
+    p.target.points[TILE:, 0] += 50.0
+    for side in (p.source, p.target):
+        scale = 1.0 / 25.0 if side is getattr(p, vague) else 1e-6
+        for name in ("covariances", "spreads"):
+            factor = 1e-6 if name != what else scale
+            getattr(side, name)[:] = factor * np.eye(3) / (sigma if name == "covariances" else 1.0)
+        side.build()
+    (end,) = p.run(sigma=sigma, unmatched=0.3)
+    sums, uniform = p.sums(p.pose, sigma, 0.3)
+    np.testing.assert_allclose(end.iterations[0].matched, p.matched(sums, uniform), rtol=2e-3)
+
+
+@shapes
+def test_the_search_leaves_out_no_pair_that_a_coarse_mixture_tells(dimension, isotropic, monkeypatch):
+    p = Problem(dimension, isotropic, sizes=(10, 300))
+    (every,) = p.run(sigma=1e-2)
+    monkeypatch.undo()
+    few = Problem(dimension, isotropic, sizes=(10, 300))
+    (end,) = few.run(sigma=1e-2)
+    lost = every.iterations[0].matched - end.iterations[0].matched
+    assert 0.0 < lost + 1e-9 < 2.0**-COARSE_BITS_SHIPPED * 300
 
 
 @pytest.mark.parametrize(("n", "count"), [(3, 3), (40, 1), (40, 7), (200, 30)])

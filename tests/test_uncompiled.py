@@ -6,9 +6,19 @@ import sys
 from pathlib import Path
 
 TESTS = Path(__file__).parent
-FILES = ("test_kernels.py", "test_search_kernel.py", "test_pose_covariance.py")
+FILES = (
+    "test_kernels.py",
+    "test_search_kernel.py",
+    "test_acceleration.py",
+    "test_culling.py",
+    "test_score_sums.py",
+    "test_pose_covariance.py",
+)
 # Fast enough by the interpreter; the others are about speed, threads or large clouds.
-CHOSEN = "(test_kernels and not threads and not 500-2000) or test_search_kernel or (moments and 0.5-anisotropic)"
+CHOSEN = (
+    "(test_kernels and not threads and not 500-2000) or test_search_kernel or test_acceleration"
+    " or test_culling or test_score_sums or (moments and 0.5-anisotropic)"
+)
 
 
 def test_kernels_pass_their_tests_uncompiled():

@@ -136,7 +136,7 @@ def _build(stamp):
                     turn_symmetric(pose, precisions, F1 / sigmas[0], isotropic, m, turned[m - m0])
                 tile = 0
                 while tile < count:
-                    i, j, tile = next_run(tile, box, sigmas[1], tiles, False, n_all)
+                    i, j, tile = next_run(tile, box, sigmas[1], tiles, n_all)
                     if i >= j:
                         break
                     for m in range(m0, m1):

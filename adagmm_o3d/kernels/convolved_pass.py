@@ -175,10 +175,10 @@ def pack(points: NDArray[np.float32], weights: NDArray[np.floating], matrix_rows
 
 
 @njit(**FLAGS)
-def cluster_rows(target, i, j, kind, own, y, turned, column, offset, rows):
-    """The pairs of a cluster's points with packed target points i..j; `column` begins at target point `offset`."""
+def cluster_rows(target, i, j, kind, own, y, turned, column, rows):
+    """The pairs of a cluster's points with packed target points i..j."""
     planar, isotropic, columns_only = kind
-    columns = column[i - offset : j - offset]
+    columns = column[i:j]
     x0, x1, x2, share, factor = (
         target[X, i:j], target[X + 1, i:j], target[X + 2, i:j], target[SHARE, i:j], target[FACTOR, i:j]
     )  # fmt: skip
@@ -218,7 +218,7 @@ def gathered_rows(target, index, count, kind, own, y, turned, near, near_column,
     for r in (MATRIX, MATRIX + 3, MATRIX + 5) if target.shape[0] > MATRIX + 1 else (MATRIX, MATRIX, MATRIX):
         near[r, count:padded] = F1
     near_column[:padded] = F0
-    cluster_rows(near, 0, padded, kind, own, y, turned, near_column, 0, rows)
+    cluster_rows(near, 0, padded, kind, own, y, turned, near_column, rows)
     for i in range(count):
         column[index[i]] += near_column[i]
 
@@ -276,7 +276,7 @@ def convolved_pass(pose, source, target, tiles, kind, uniform, mutuality, cluste
             hits = reach_group(g, box, tiles, beyond)
             first, last = g * GROUP * TILE, min(tile_count, (g + 1) * GROUP) * TILE
             if hits * TILE == last - first:
-                cluster_rows(packed, first, last, kind, own, y, turned, column, 0, rows)
+                cluster_rows(packed, first, last, kind, own, y, turned, column, rows)
             elif hits > 0:
                 for t in range(min(GROUP, tile_count - g * GROUP)):
                     if beyond[t] < F0:

@@ -45,11 +45,11 @@ def reach_sq(convolved, variance, bits, other_variance, other_bits):
 
 
 @njit(**FLAGS)
-def next_run(tile, box, sigma, tiles, convolved, n):
+def next_run(tile, box, sigma, tiles, n):
     """The next run of target points within reach of a source cluster, from `tile` on: (first, past last, next tile).
 
-    `box` is the cluster's (corners, variance, bits); `sigma` scales the target's variances. Groups of
-    GROUP tiles are skipped whole. A run ends at the first tile out of reach or after RUN points.
+    For the paper's weights. `box` is the cluster's (corners, variance, bits); `sigma` scales the target's variances.
+    Groups of GROUP tiles are skipped whole. A run ends at the first tile out of reach or after RUN points.
     """
     lo, hi, variance, bits = box
     tile_lo, tile_hi, tile_variance, tile_bits, group_lo, group_hi, group_variance, group_bits = tiles
@@ -58,11 +58,11 @@ def next_run(tile, box, sigma, tiles, convolved, n):
     while tile < count:
         if first < 0 and tile % GROUP == 0:
             g = tile // GROUP
-            limit = reach_sq(convolved, variance, bits, sigma * group_variance[g], group_bits[g])
+            limit = reach_sq(False, variance, bits, sigma * group_variance[g], group_bits[g])
             if gap_sq(lo, hi, group_lo, group_hi, g) >= limit:
                 tile += GROUP
                 continue
-        limit = reach_sq(convolved, variance, bits, sigma * tile_variance[tile], tile_bits[tile])
+        limit = reach_sq(False, variance, bits, sigma * tile_variance[tile], tile_bits[tile])
         if gap_sq(lo, hi, tile_lo, tile_hi, tile) >= limit:
             if first >= 0:
                 break

@@ -18,6 +18,7 @@ adjugate = formulas.adjugate
 SCORE = 0  # 0..5: Σ w j, w the weight of a pair, j = Jᵀ S⁻¹ d the gradient of half its squared Mahalanobis distance
 SENSITIVITY = 6  # 6..11: -Σ share ∂c/∂δ, the change of the density at the point
 CURVATURE = 12  # 12..47: Σ w ∂j/∂δ + Σ j ∂c/∂δ w/c, row by row: the change of the score but for that of the densities
+# ... and but for the Σ w e x v by which a shift along e moves the lever arms: at an optimum the pulls v sum to nothing.
 SQUARES = 48  # 48..83: Σ w² j jᵀ, row by row
 POINT_SUMS = 84
 

@@ -116,7 +116,7 @@ def _complete(path: Path) -> np.ndarray:
     """The file's bytes. Decoders fill what is cut off with grey, or print about it, so that is looked at here."""
     data = read_input(path, RecordingError, missing=MISSING)
     if data.startswith(PNG_SIGNATURE):
-        complete = _png_is_complete(data)
+        complete = data[12:16] == b"IHDR" and _png_is_complete(data)
         width, height = struct.unpack(">II", data[16:24]) if complete else (0, 0)
     elif data.startswith(b"\xff\xd8"):
         # In a JPEG's image data FF is followed by 00, so an end marker after the last start of scan is the real end.

@@ -1,0 +1,118 @@
+"""Which tiles and points a cluster can reach, against every one looked at."""
+
+import numpy as np
+import pytest
+
+from adagmm_o3d.kernels import culling
+from adagmm_o3d.kernels.culling import GROUP, RUN, TILE, closest_tile, next_run, reach_group, reach_points, reach_sq
+from adagmm_o3d.kernels.tiles import make_tiles, morton_order
+
+COUNT = 3 * GROUP * TILE + 5 * TILE + 3
+
+
+class Scene:
+    """A target in the kernels' order, cut into tiles, and boxes of source clusters in and around it."""
+
+    def __init__(self, seed, vague=1.0):
+        rng = np.random.default_rng(seed)
+        points = rng.normal(size=(COUNT, 3))
+        points = points[morton_order(points, np.zeros(COUNT, bool))]
+        self.x = np.ascontiguousarray(points.T, np.float32)
+        self.variances = (vague * rng.uniform(0.2, 2.0, COUNT) ** 3).astype(np.float32)
+        self.bits = rng.uniform(5.0, 24.0, COUNT).astype(np.float32)
+        self.tiles = make_tiles(self.x, self.variances, self.bits)
+        self.boxes = []
+        for _ in range(12):
+            corner = rng.normal(size=3) * 1.5
+            lo, hi = corner.astype(np.float32), (corner + rng.uniform(0.01, 0.3, 3)).astype(np.float32)
+            variance, bits = np.float32(vague * rng.uniform(0.2, 3.0)), np.float32(rng.uniform(4.0, 26.0))
+            self.boxes.append((lo, hi, variance, bits))
+
+    def tiles_in_reach(self, box, convolved, sigma=1.0):
+        return reached(box, self.tiles.lo, self.tiles.hi, sigma * self.tiles.variance, self.tiles.bits, convolved)
+
+
+def reached(box, lo, hi, variances, bits, convolved):
+    """(n,) bool: whether each of (3, n) boxes is near enough that a pair's weight is not lost."""
+    own_lo, own_hi, variance, own_bits = box
+    gaps = np.maximum(np.maximum(lo - own_hi[:, None], own_lo[:, None] - hi), 0.0)
+    if convolved:
+        limits = (variance + variances) * np.minimum(own_bits, bits)
+    else:
+        limits = np.maximum(variance * own_bits, variances * bits)
+    return (gaps.astype(float) ** 2).sum(axis=0) < limits
+
+
+@pytest.mark.parametrize("vague", [1e-4, 1e-2, 1e-1])
+def test_the_tiles_of_a_group_in_reach(vague):
+    scene = Scene(0, vague)
+    beyond = np.empty(GROUP, np.float32)
+    counts = []
+    for box in scene.boxes:
+        expected = scene.tiles_in_reach(box, convolved=True)
+        for g in range(scene.tiles.group_lo.shape[1]):
+            of_group = expected[g * GROUP : (g + 1) * GROUP]
+            hits = reach_group(g, box, scene.tiles, beyond)
+            assert hits == of_group.sum()
+            if hits:
+                np.testing.assert_array_equal(beyond[: len(of_group)] < 0.0, of_group)
+            counts.append(hits)
+    assert min(counts) < np.mean(counts) < GROUP
+    assert vague == 1e-1 or min(counts) == 0
+
+
+@pytest.mark.parametrize("vague", [1e-4, 1e-2, 1e-1])
+def test_the_points_of_a_tile_in_reach_are_put_behind_those_before(vague):
+    scene = Scene(1, vague)
+    beyond, before = np.empty(TILE, np.float32), np.array([7, 8, 9])
+    for box in scene.boxes:
+        expected = reached(box, scene.x, scene.x, scene.variances, scene.bits, True)
+        for tile in (*range(0, COUNT // TILE, 7), COUNT // TILE):
+            index = np.full(3 + TILE + 1, -1, np.int32)
+            index[:3] = before
+            count = reach_points(tile, box, scene.x, scene.variances, scene.bits, beyond, index, 3)
+            found = tile * TILE + np.flatnonzero(expected[tile * TILE : (tile + 1) * TILE])
+            np.testing.assert_array_equal(index[:count], [*before, *found])
+
+
+@pytest.mark.parametrize("vague", [1e-4, 1e-2, 1.0])
+def test_runs_are_the_stretches_of_tiles_in_reach(vague):
+    scene, longest = Scene(2, vague), 0
+    count = scene.tiles.lo.shape[1]
+    for box in scene.boxes:
+        sigma = np.float32(0.5)
+        inside = scene.tiles_in_reach(box, convolved=False, sigma=0.5)
+        expected, start = [], None
+        for tile in range(count + 1):
+            if start is not None and (tile == count or not inside[tile] or (tile - start) * TILE >= RUN):
+                expected.append((start * TILE, min(tile * TILE, COUNT)))
+                start = None
+            if tile < count and inside[tile] and start is None:
+                start = tile
+        got, tile = [], 0
+        while tile < count:
+            first, last, following = next_run(tile, box, sigma, scene.tiles, COUNT)
+            assert following > tile
+            tile = following
+            if first < last:
+                got.append((first, last))
+                longest = max(longest, last - first)
+        assert got == expected
+    assert vague < 1.0 or longest == RUN
+
+
+def test_the_closest_tile_is_the_one_with_the_smallest_gap():
+    scene = Scene(3)
+    tiles = scene.tiles
+    for lo, hi, _, _ in scene.boxes:
+        found = closest_tile(lo, hi, tiles.lo, tiles.hi, tiles.group_lo, tiles.group_hi)
+        gaps = [culling.gap_sq(lo, hi, tiles.lo, tiles.hi, tile) for tile in range(tiles.lo.shape[1])]
+        assert gaps[found] == min(gaps)
+
+
+def test_a_pair_of_equals_reaches_as_far_as_its_weight_lives():
+    # exp2(-d²/(a + b)) falls to 2^-bits at d² = (a + b) bits; the paper's weight is the sum of both exp2(-d²/a).
+    assert reach_sq(True, 2.0, 20.0, 3.0, 10.0) == 50.0
+    assert reach_sq(True, 2.0, 10.0, 3.0, 20.0) == 50.0
+    assert reach_sq(False, 2.0, 20.0, 3.0, 10.0) == 40.0
+    assert reach_sq(False, 2.0, 10.0, 3.0, 20.0) == 60.0

@@ -132,8 +132,9 @@ def write_report(
         for m in measurements
     ]
     text = (
-        f"# Speed\n\n`{command_line()}`\n\n{machine_note()}. One thread on one core; the libraries take turns on each "
-        "pair, so that ratios hold where the machine is shared. Whole registrations, default options, code warm.\n\n"
+        f"# Speed\n\n`{command_line()}`\n\n{machine_note()}. CPU seconds of one thread on one core; the libraries take "
+        "turns on each pair, so that ratios hold where the machine is shared. Whole registrations, default options, "
+        "code warm.\n\n"
         f"{markdown_table(columns, rows)}"
     )
     text += "".join(f"\nRegression: {line}\n" for line in regressions)

@@ -29,12 +29,11 @@ def kernel(repeats: int) -> list[Measurement]:
         *(make_mixture(role, rng.normal(size=(POINTS, 3)), None) for role in ("source", "target"))
     )
     pairs, pose = PairLoop(source, target), np.eye(4)
-    _, columns = pairs.posterior_sums(pose, WIDE_SIGMA, 0.1)
     a = rng.normal(size=(MATRIX, MATRIX)).astype(np.float32)
     runs = {
         "product": lambda: a @ a,
         "paper's weights": lambda: pairs.sums(pose, WIDE_SIGMA, WIDE_SIGMA),
-        "posteriors": lambda: pairs.posterior_sums(pose, WIDE_SIGMA, 0.1, columns, 0.5),
+        "posteriors": lambda: pairs.posterior_sums(pose, WIDE_SIGMA, 0.1),
     }
     seconds = best_seconds(runs, 10 * repeats)
     product_rate = 2 * MATRIX**3 / seconds["product"]

@@ -36,17 +36,19 @@ class Measurement:
 def interleaved_seconds(
     methods: Sequence[str], problems: Sequence[Problem], start: str, repeats: int
 ) -> dict[str, np.ndarray]:
-    """(repeats, problems) wall seconds of each method. The methods take turns on each problem, in every repeat, so that
+    """(repeats, problems) CPU seconds of each method. The methods take turns on each problem, in every repeat, so that
     whatever else the machine does meets them alike.
     """
     prepared = [prepare(problem, start) for problem in problems]
     seconds = {name: np.zeros((repeats, len(problems))) for name in methods}
     for name in methods:  # imports and compilation
-        _timed(lambda name=name: METHODS[name](prepared[0].source, prepared[0].target))
+        cpu_seconds(lambda name=name: METHODS[name](prepared[0].source, prepared[0].target))
     for repeat in range(repeats):
         for i, pair in enumerate(prepared):
             for name in methods:
-                seconds[name][repeat, i] = _timed(lambda name=name, pair=pair: METHODS[name](pair.source, pair.target))
+                seconds[name][repeat, i] = cpu_seconds(
+                    lambda name=name, pair=pair: METHODS[name](pair.source, pair.target)
+                )
     return seconds
 
 
@@ -54,11 +56,12 @@ def best_seconds(runs: Mapping[str, Callable[[], object]], repeats: int) -> dict
     """The shortest of some runs of each, taking turns: what the machine can do when nothing disturbs it."""
     for run in runs.values():
         run()
-    seconds = [{name: _timed(run) for name, run in runs.items()} for _ in range(repeats)]
+    seconds = [{name: cpu_seconds(run) for name, run in runs.items()} for _ in range(repeats)]
     return {name: min(round[name] for round in seconds) for name in runs}
 
 
-def _timed(function: Callable[[], object]) -> float:
-    started = time.perf_counter()
+def cpu_seconds(function: Callable[[], object]) -> float:
+    """CPU seconds of all threads: on an idle core the time on the clock, on a busy one still the work."""
+    started = time.process_time()
     function()
-    return time.perf_counter() - started
+    return time.process_time() - started

@@ -21,7 +21,7 @@ from .start_search import End, Limits, Start, distinct, joined, pose_distance, r
 # Components of the level on which a search tries its many starts and of the one on which few go on, points of the one
 # that ranks those, and of the one that decides. Clouds of up to SMALL points decide with all of them; a search among
 # small clouds does better on a part (heavy noise above all).
-SKETCHED, MERGED, RANKING, DECIDING, SMALL, SMALL_DECIDING = 64, 200, 400, 1000, 1100, 500
+SKETCHED, MERGED, RANKING, DECIDING, SMALL, SMALL_DECIDING = {2: 24, 3: 64}, 200, 400, 1000, 1100, 500
 # How far EM goes on each: what so many components can tell.
 MERGED_LIMITS = Limits(floor=2e-3, least_unmatched=0.05, relative_rmse=5e-4)
 RANKING_LIMITS = Limits(floor=1e-3, least_unmatched=0.05, relative_rmse=1e-3)
@@ -46,8 +46,9 @@ class Cascade:
 
     def __init__(self, source: Mixture, target: Mixture, volume: float) -> None:
         self.source, self.target, self.volume = source, target, volume
-        self._samples: dict[int, tuple[MergedMixture, MergedMixture]] = {}
-        self.small = max(count_certain(source), count_certain(target)) <= SMALL
+        self._samples: dict[tuple[int, int], tuple[MergedMixture, MergedMixture]] = {}
+        self._certain = count_certain(source), count_certain(target)
+        self.small = max(self._certain) <= SMALL
 
     @cached_property
     def _merged(self) -> tuple[MergedMixture, MergedMixture]:
@@ -55,9 +56,10 @@ class Cascade:
 
     def sampled(self, size: int) -> tuple[MergedMixture, MergedMixture]:
         """At most `size` of the points of either, without those flagged as outliers."""
-        if size not in self._samples:
-            self._samples[size] = sample(self.source, size), sample(self.target, size)
-        return self._samples[size]
+        sizes = min(size, self._certain[0]), min(size, self._certain[1])
+        if sizes not in self._samples:
+            self._samples[sizes] = sample(self.source, size), sample(self.target, size)
+        return self._samples[sizes]
 
     def register_trusted(self, starts: list[Start]) -> tuple[End, End]:
         """The likeliest of the starts, on the merged level and carried on to the deciding one."""
@@ -80,8 +82,7 @@ class Cascade:
             size = SMALL_DECIDING
             decided = self._decide([merged], size)[0]
         sketched = run_starts(
-            merge(self.source, SKETCHED),
-            merge(self.target, SKETCHED),
+            *(merge(side, SKETCHED[side.dimension]) for side in (self.source, self.target)),
             starts,
             limits=MERGED_LIMITS,
             volume=self.volume,

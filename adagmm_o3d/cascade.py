@@ -82,7 +82,8 @@ class Cascade:
             size = SMALL_DECIDING
             decided = self._decide([merged], size)[0]
         sketched = run_starts(
-            *(merge(side, SKETCHED[side.dimension]) for side in (self.source, self.target)),
+            merge(self.source, SKETCHED[self.source.dimension]),
+            merge(self.target, SKETCHED[self.source.dimension]),
             starts,
             limits=MERGED_LIMITS,
             volume=self.volume,

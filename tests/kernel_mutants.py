@@ -286,7 +286,6 @@ CPU = {
         ("if new > wanted or not accelerated", "if not accelerated"),
         ("if new > wanted or not accelerated", "if new > wanted"),
         ("forget(memory)\n                    taken", "taken"),
-        ("forget(memory)\n            sigma", "sigma"),
         ("math.sqrt(sigma), memory", "sigma, memory"),
         ("sigma * math.exp(taken[LOG_SIGMA])", "new"),
         ("move(taken, pose)", "move(residual, pose)"),

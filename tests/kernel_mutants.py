@@ -135,7 +135,7 @@ CPU = {
         ("column_convolved_isotropic", "(F1 if planar else math.sqrt(precision))", "F1"),
         ("columns[j] += own * (share[j] * precision", "columns[j] = own * (share[j] * precision"),
         ("packed[FACTOR] = points, weights, 1.0", "packed[FACTOR] = points, weights, 0.0"),
-        ("pack", "MATRIX + 3, MATRIX + 5] if", "MATRIX + 3] if"),
+        ("else MATRIX, n:] = 1.0", "else MATRIX, n:] = 0.0"),
         ("near[r, i] = target[r, index[i]]", "near[r, i] = target[r, index[0]]"),
         ("near[r, count:padded] = F0", "near[r, count:padded] = F1"),
         ("near[r, count:padded] = F1", "pass"),

@@ -3,7 +3,7 @@
 Where a text is in several functions of a file, the name of the one comes first.
 """
 
-SIZES = "3-3- or 33-65 or 3-5- or 137-7- or 33-300-0.3 or 37-193"
+SIZES = "3-3- or 33-17 or 3-5- or 137-7- or 33-300-0.3"
 KERNELS = [
     "tests/test_kernels.py",
     "-k",
@@ -16,15 +16,14 @@ CONVOLVED = [
     f"(posterior_sums and ({SIZES})) or filled or gathered or groups or variances_of_both or first_of_far"
     " or step_on_the_naive",
 ]
+NEAREST = ["tests/test_kernels.py", "-k", "nearest and not 500-2000"]
 CULLING = ["tests/test_culling.py", *KERNELS]
 SEARCH = ["tests/test_search_kernel.py"]
 ACCELERATION = ["tests/test_acceleration.py"]
 SCORES = ["tests/test_score_sums.py"]
-SIMULATOR = [
-    "tests/cuda_simulator/test_pair_loop.py",
-    "-k",
-    "naive or far_tiles or shares or same_sums or every_source",
-]
+SIMULATOR = ["tests/cuda_simulator/test_pair_loop.py", "-k"]
+EVERY_PASS = [*SIMULATOR, "naive or far_tiles or shares or same_sums or every_source"]
+CONVOLVED_PASSES = [*SIMULATOR, "posterior or far_tiles or shares or same_sums"]
 
 CPU = {
     "gaussian.py": [
@@ -135,7 +134,7 @@ CPU = {
         ("column_convolved_isotropic", "(F1 if planar else math.sqrt(precision))", "F1"),
         ("columns[j] += own * (share[j] * precision", "columns[j] = own * (share[j] * precision"),
         ("packed[FACTOR] = points, weights, 1.0", "packed[FACTOR] = points, weights, 0.0"),
-        ("pack", "MATRIX + 3, MATRIX + 5] if", "MATRIX + 3] if"),
+        ("else MATRIX, n:] = 1.0", "else MATRIX, n:] = 0.0"),
         ("near[r, i] = target[r, index[i]]", "near[r, i] = target[r, index[0]]"),
         ("near[r, count:padded] = F0", "near[r, count:padded] = F1"),
         ("near[r, count:padded] = F1", "pass"),
@@ -286,7 +285,6 @@ CPU = {
         ("if new > wanted or not accelerated", "if not accelerated"),
         ("if new > wanted or not accelerated", "if new > wanted"),
         ("forget(memory)\n                    taken", "taken"),
-        ("forget(memory)\n            sigma", "sigma"),
         ("math.sqrt(sigma), memory", "sigma, memory"),
         ("sigma * math.exp(taken[LOG_SIGMA])", "new"),
         ("move(taken, pose)", "move(residual, pose)"),
@@ -348,6 +346,7 @@ TESTS_OF = {
     | {
         "convolution_sums.py": CONVOLVED,
         "convolved_pass.py": CONVOLVED,
+        "nearest.py": NEAREST,
         "culling.py": CULLING,
         "acceleration.py": ACCELERATION,
         "score_sums.py": SCORES,
@@ -355,5 +354,10 @@ TESTS_OF = {
         "farthest_points.py": SEARCH,
         "": SCORES,
     },
-    "cuda": dict.fromkeys(CUDA, SIMULATOR) | {"": [SIMULATOR[0], "-k", "shares"]},
+    "cuda": dict.fromkeys(CUDA, EVERY_PASS)
+    | {
+        "convolved_rows.py": CONVOLVED_PASSES,
+        "convolved_columns.py": CONVOLVED_PASSES,
+        "": [*SIMULATOR, "shares"],
+    },
 }

@@ -116,3 +116,14 @@ def test_a_pair_of_equals_reaches_as_far_as_its_weight_lives():
     assert reach_sq(True, 2.0, 10.0, 3.0, 20.0) == 50.0
     assert reach_sq(False, 2.0, 20.0, 3.0, 10.0) == 40.0
     assert reach_sq(False, 2.0, 10.0, 3.0, 20.0) == 60.0
+
+
+def test_the_first_tile_behind_a_group_left_out_is_not():
+    line = np.linspace(0.0, 1.0, COUNT)
+    x = np.ascontiguousarray(np.stack([line, 0.0 * line, 0.0 * line]), np.float32)
+    variance, bits = np.float32(1e-10), np.float32(20.0)
+    tiles = make_tiles(x, np.full(COUNT, variance), np.full(COUNT, bits))
+    for tile in range(tiles.lo.shape[1]):
+        middle = x[:, tile * TILE + 1]
+        first, last, _ = next_run(0, (middle, middle, variance, bits), np.float32(1.0), tiles, COUNT)
+        assert (first, last) == (tile * TILE, min((tile + 1) * TILE, COUNT))

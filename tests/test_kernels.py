@@ -176,13 +176,14 @@ def test_more_points_in_reach_than_are_gathered_at_once(dimension, sigma):
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
-def test_what_tiles_are_filled_up_with_says_nothing(dimension):
+@pytest.mark.parametrize("in_reach", ["some", "all"])
+def test_what_tiles_are_filled_up_with_says_nothing(dimension, in_reach):
     # A source so sharp that its own covariances have no determinant in float32; the sums of both sides' have.
     rng = np.random.default_rng(10)
     factors = rng.normal(size=(TILE + 4, dimension, dimension))
     covariances = np.eye(dimension) + 0.1 * factors @ factors.transpose(0, 2, 1)
     sigma, uniform = 1e-7 if dimension == 3 else 1e-13, 0.05
-    target = rng.normal(size=(TILE + 4, dimension))
+    target = rng.normal(size=(TILE + 4, dimension)) * (1.0 if in_reach == "some" else np.sqrt(sigma))
     source = target[:5] + 0.3 * np.sqrt(sigma) * rng.normal(size=(5, dimension))
     sharp = 1e-7 * covariances[:5]
     loop = PairLoop(make_mixture("source", source, sharp), make_mixture("target", target, covariances))

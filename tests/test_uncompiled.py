@@ -16,7 +16,7 @@ FILES = (
 )
 # Fast enough by the interpreter; the others are about speed, threads or large clouds.
 CHOSEN = (
-    "(test_kernels and not threads and not 500-2000) or test_search_kernel or test_acceleration"
+    "(test_kernels and not threads and not 500-2000 and not far_points) or test_search_kernel or test_acceleration"
     " or test_culling or test_score_sums or (moments and 0.5-anisotropic)"
 )
 

@@ -6,7 +6,8 @@ H is the full derivative of the sum, the change of the posteriors included; with
 comes out far too small wherever it is open which points belong together. B is the variance of the sum. Points near each
 other share errors: a score depends on points of both clouds, neighbours compete for the same partners, and a sensor
 errs alike where it sees the same surface. So scores are added up over blocks of space first, for each cloud by itself,
-and B is made of these sums (the sandwich for clustered data).
+and B is made of these sums (the sandwich for clustered data). EM stops a little before the sum is zero: the step that
+is left is an error of its own, which among many points is the larger one.
 
 It covers what is independent from block to block, and nothing else: neither an error that all points of a sensor share,
 nor that EM may have ended in a wrong optimum. `adagmm-bench covariance` measures how honest it is.
@@ -76,7 +77,8 @@ def pose_uncertainty(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -
     flat = values <= FLAT * np.trace(scores.curvature)
     free = np.concatenate([free, (held @ vectors[:, flat]).T])
     held, values = held @ vectors[:, ~flat], values[~flat]
-    covariance = (held / values) @ _variance(held, scores) @ (held / values).T
+    ahead = (held / values) @ (held.T @ scores.left)
+    covariance = (held / values) @ _variance(held, scores) @ (held / values).T + np.outer(ahead, ahead)
     deviations, directions = np.linalg.eigh(covariance)
     unsure = directions[:, deviations > FREE_DEVIATION**2]
     return PoseUncertainty(covariance + free.T @ free, (*free, *unsure.T))
@@ -111,19 +113,21 @@ class ScoreMoments:
     """Sums over the scores g of points and of blocks at a pose; k = 6, in 2D 3.
 
     curvature : (k, k) derivative of the sum of all scores by the pose.   by_points : (k, k) Σ g gᵀ over the points, the
-    mean of both clouds'.   by_blocks : the same over blocks.   matched : (M,) probability of a partner.
+    mean of both clouds'.   by_blocks : the same over blocks.   left : (k,) the sum of all scores.   matched : (M,)
+    probability of a partner.
     """
 
     curvature: Array
     by_points: Array
     by_blocks: Array
+    left: Array
     matched: Array
 
 
 def score_moments(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -> ScoreMoments:
     """The scores of the points of both clouds at a pose."""
     uniform = uniform_density(fit.unmatched, source.dimension, fit.volume)
-    sums = pairs.posterior_sums(fit.pose, fit.sigma, uniform)
+    sums = pairs.posterior_sums(fit.pose, fit.sigma, uniform, fit.mutuality)
     source_weights, target_weights = source.weights / source.weights.sum(), target.weights / target.weights.sum()
     # 1 / (density + uniform), for the source points from the probability to have a partner
     source_rest = (1.0 - sums.row_weights) / uniform
@@ -154,7 +158,8 @@ def score_moments(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -> S
         # of the products between two points of a block a share of 1/growth² was seen
         by_blocks += 0.5 * (growth * points + growth**2 * (block.T @ block - points))
     free = np.ix_(FREE[source.dimension], FREE[source.dimension])
-    return ScoreMoments(0.5 * (curvature + curvature.T)[free], by_points[free], by_blocks[free], sums.row_weights)
+    left = sums.gradient[FREE[source.dimension]]
+    return ScoreMoments(0.5 * (curvature + curvature.T)[free], by_points[free], by_blocks[free], left, sums.row_weights)
 
 
 def covariance_out(covariance: Array, normalisation: Normalisation) -> Array:

@@ -1,6 +1,7 @@
 """The pose covariance against plain double sums and finite differences, against true errors, and against Open3D."""
 
 from collections import defaultdict
+from dataclasses import replace
 
 import numpy as np
 import open3d as o3d
@@ -160,6 +161,21 @@ def test_errors_that_neighbours_share_count():
         by_points.append(error @ np.linalg.solve(step @ moments.by_points @ step, error))
     assert np.mean(squares) < 0.6 * np.mean(by_points)
     assert np.mean(squares) < 3.0 * 6
+
+
+@dimensions
+@pytest.mark.parametrize("mutuality", [0.0, 0.5])
+def test_a_pose_short_of_the_end_says_so(dimension, mutuality):
+    rng = np.random.default_rng(dimension)
+    registered = Registered(*sampled_twice(rng, 600, dimension, noise=0.01), mutuality=mutuality)
+    settled = registered.uncertainty().covariance
+    delta = np.zeros(6)
+    delta[registered.free] = 0.002 * rng.choice([-1.0, 1.0], len(registered.free))
+    registered.fit = replace(registered.fit, pose=se_exp(delta) @ registered.fit.pose)
+    delta = delta[registered.free]
+    assert delta @ np.linalg.solve(settled, delta) > 10.0
+    change = registered.uncertainty().covariance - settled
+    np.testing.assert_allclose(change, np.outer(delta, delta), rtol=0, atol=0.3 * 0.002**2)
 
 
 @dimensions

@@ -243,7 +243,6 @@ CPU = {
         ("r0 + y[0] * j[3 + k]", "r0 - y[0] * j[3 + k]"),
         ("h -= along", "h += along"),
         ("w * (h - j[i] * change[k])", "w * (h + j[i] * change[k])"),
-        ("w * w * j[i] * j[k]", "w * j[i] * j[k]"),
     ],
     "search.py": [
         ("s -= factor[i, k] * factor[j, k]", "s -= factor[i, k] * factor[j, j]"),

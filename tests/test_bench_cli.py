@@ -7,14 +7,16 @@ import pytest
 from shared_data import shared_data
 
 from adagmm_bench.cli import main
-from adagmm_bench.commands import ablation
+from adagmm_bench.commands import ablation, covariance
 from adagmm_bench.commands.kinect import AUTHORS
 from adagmm_bench.commands.options import starts_of
 from adagmm_bench.methods import METHODS
 from adagmm_bench.methods.ours import ABLATIONS
 from adagmm_bench.plots import plot_pair_errors, plot_sweep
+from adagmm_bench.problem import prepare
 from adagmm_bench.simulation import TrialId
 from adagmm_bench.summary import best_start, by_setting, summarise
+from adagmm_bench.trial import SimulatedProblem
 from adagmm_o3d import TransformationEstimationForAdaptiveGMM
 
 PNG = b"\x89PNG\r\n"
@@ -210,6 +212,38 @@ def test_ablation_undoes_one_choice_at_a_time(tmp_path, monkeypatch, capsys):
     assert set(report["summaries"]) == {"2D", "3D"}
     assert {s["method"] for s in report["summaries"]["3D"]} == set(ablation.NAMES)
     assert all(s["trials"] == 2 for group in report["summaries"].values() for s in group)
+
+
+def test_covariance_compares_true_errors_with_what_it_says(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(
+        covariance,
+        "trial_ids",
+        lambda dimension, *, seed, **_: [TrialId(dimension, "outliers", 0.3, i, seed) for i in range(6)],
+    )
+    arguments = ["covariance", "--workers", "1", "--data", str(tmp_path), "--output", str(tmp_path / "out")]
+    assert main(arguments) == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert len(report["trials"]) == 2 * 2 * 6
+    rows = {row[0]: dict(zip(report["columns"], row, strict=True)) for row in report["rows"]}
+    for dimension, directions in covariance.DIRECTIONS.items():
+        squares = [t["nees"] for t in report["trials"] if t["problem"]["dimension"] == dimension]
+        assert rows[f"{dimension}D"] == rows[f"{dimension}D, outliers"] | {report["columns"][0]: f"{dimension}D"}
+        assert rows[f"{dimension}D"]["mean"] == f"{np.mean(squares):.2f}" and rows[f"{dimension}D"]["found"] == "12/12"
+        assert 0.3 * directions < np.mean(squares) < 3.0 * directions
+        assert rows[f"{dimension}D, noise"]["mean"] == "-"
+    captured = capsys.readouterr()
+    assert "left out the Kinect scenes" in captured.err and "3D, outliers" in captured.out
+
+
+def test_poses_enter_the_prepared_clouds_and_leave_them():
+    problem = SimulatedProblem(TrialId(3, "noise", 0.13, 0), None).load()
+    prepared = prepare(problem, "centroids")
+    T = prepared.prepared_pose(problem.T_target_source)
+    np.testing.assert_allclose(prepared.restore(T), problem.T_target_source, rtol=0, atol=1e-12)
+    moved = prepared.source.points @ T[:3, :3].T + T[:3, 3]
+    expected = problem.source.points @ problem.T_target_source[:3, :3].T + problem.T_target_source[:3, 3]
+    expected = (expected - prepared.target_offset) / prepared.scale
+    np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-12)
 
 
 def test_an_ablation_differs_from_the_default_in_one_option():

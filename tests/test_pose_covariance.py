@@ -1,5 +1,8 @@
 """The pose covariance against plain double sums and finite differences, against true errors, and against Open3D."""
 
+from collections import defaultdict
+from dataclasses import replace
+
 import numpy as np
 import open3d as o3d
 import pytest
@@ -13,7 +16,7 @@ from adagmm_o3d.kernels.pair_loop import PairLoop
 from adagmm_o3d.lie import se_exp, se_log
 from adagmm_o3d.m_step import FREE
 from adagmm_o3d.mixture import make_mixture, normalise
-from adagmm_o3d.pose_covariance import Fit, covariance_out, pose_uncertainty, score_moments
+from adagmm_o3d.pose_covariance import BLOCK, Fit, covariance_out, pose_uncertainty, score_moments
 
 dimensions = pytest.mark.parametrize("dimension", [2, 3])
 
@@ -102,10 +105,18 @@ def test_moments_match_double_sums_and_finite_differences(dimension, isotropic, 
         [(scores(step * e) - scores(-step * e)).sum(axis=(0, 1)) / (2.0 * step) for e in np.eye(6)], axis=1
     )
     curvature = 0.5 * (change + change.T)
-    by_points = sum(np.einsum("nk,nl->kl", g, g) for g in (at.sum(axis=0), at.sum(axis=1)))
-    by_pairs = np.einsum("mnk,mnl->kl", at, at)
+    by_points, by_blocks = np.zeros((2, 6, 6))
+    moved = registered.source.points @ registered.fit.pose[:3, :3].T + registered.fit.pose[:3, 3]
+    for points, scores_of in ((moved, at.sum(axis=1)), (registered.target.points, at.sum(axis=0))):
+        blocks = defaultdict(lambda: np.zeros(6))
+        for point, score in zip(points, scores_of, strict=True):
+            blocks[tuple(int(c // BLOCK) for c in point)] += score
+            by_points += 0.5 * np.outer(score, score)
+        assert 4 < len(blocks) < 0.9 * len(points)
+        by_blocks += sum(0.5 * np.outer(score, score) for score in blocks.values())
     # pairs beyond CUT are left out, and the densities come from the float32 kernel
-    for got, expected in ((moments.curvature, curvature), (moments.by_points, by_points), (moments.by_pairs, by_pairs)):
+    compared = ((moments.curvature, curvature), (moments.by_points, by_points), (moments.by_blocks, by_blocks))
+    for got, expected in compared:
         expected = expected[np.ix_(free, free)]
         np.testing.assert_allclose(got, expected, rtol=2e-3, atol=2e-3 * np.abs(expected).max())
 
@@ -113,9 +124,9 @@ def test_moments_match_double_sums_and_finite_differences(dimension, isotropic, 
 def test_a_part_of_the_points_stands_for_all(monkeypatch):
     rng = np.random.default_rng(8)
     registered = Registered(*sampled_twice(rng, 1500, 3, noise=0.02))
+    monkeypatch.setattr(pose_covariance, "SCORED", 2000)
     whole = np.sqrt(np.diag(registered.uncertainty().covariance))
-    monkeypatch.setattr(pose_covariance, "SCORED_PAIRS", 0.0)
-    monkeypatch.setattr(pose_covariance, "LEAST_SCORED", 500)
+    monkeypatch.setattr(pose_covariance, "SCORED", 500)
     part = np.sqrt(np.diag(registered.uncertainty().covariance))
     np.testing.assert_allclose(part, whole, rtol=0.3, atol=0)
 
@@ -130,6 +141,41 @@ def test_true_errors_are_as_large_as_the_covariance_says(dimension, mutuality):
         error, covariance = registered.error(), registered.uncertainty().covariance
         squares.append(error @ np.linalg.solve(covariance, error))
     assert 0.6 * size < np.mean(squares) < 1.4 * size
+
+
+def test_errors_that_neighbours_share_count():
+    """A sensor whose errors are those of whole patches: their pull on the pose does not average out point by point."""
+    squares, by_points = [], []
+    for seed in range(40):
+        rng = np.random.default_rng([seed, 7])
+        source, target, truth = sampled_twice(rng, 1000, 3, noise=0.003)
+        patches, noisy = source[:200], []
+        for cloud, centres in ((source, patches), (target, move(patches, truth))):
+            patch = np.argmin(np.linalg.norm(cloud[:, None] - centres[None], axis=-1), axis=1)
+            noisy.append(cloud + 0.02 * rng.normal(size=patches.shape)[patch])
+        registered = Registered(*noisy, truth)
+        error, covariance = registered.error(), registered.uncertainty().covariance
+        squares.append(error @ np.linalg.solve(covariance, error))
+        moments = registered.moments()
+        step = np.linalg.inv(moments.curvature)
+        by_points.append(error @ np.linalg.solve(step @ moments.by_points @ step, error))
+    assert np.mean(squares) < 0.6 * np.mean(by_points)
+    assert np.mean(squares) < 3.0 * 6
+
+
+@dimensions
+@pytest.mark.parametrize("mutuality", [0.0, 0.5])
+def test_a_pose_short_of_the_end_says_so(dimension, mutuality):
+    rng = np.random.default_rng(dimension)
+    registered = Registered(*sampled_twice(rng, 600, dimension, noise=0.01), mutuality=mutuality)
+    settled = registered.uncertainty().covariance
+    delta = np.zeros(6)
+    delta[registered.free] = 0.002 * rng.choice([-1.0, 1.0], len(registered.free))
+    registered.fit = replace(registered.fit, pose=se_exp(delta) @ registered.fit.pose)
+    delta = delta[registered.free]
+    assert delta @ np.linalg.solve(settled, delta) > 10.0
+    change = registered.uncertainty().covariance - settled
+    np.testing.assert_allclose(change, np.outer(delta, delta), rtol=0, atol=0.3 * 0.002**2)
 
 
 @dimensions

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from mixtures import random_points_and_covariances
 
-from adagmm_o3d.kernels.score_sums import CURVATURE, POINT_SUMS, SCORE, SENSITIVITY, SQUARES, score_sums
+from adagmm_o3d.kernels.score_sums import CURVATURE, POINT_SUMS, SCORE, SENSITIVITY, score_sums
 from adagmm_o3d.lie import se_exp
 from adagmm_o3d.m_step import FREE
 from adagmm_o3d.mixture import PACKED
@@ -69,7 +69,6 @@ class Pairs:
             (w[..., None] * j).sum(axis=axis),
             -(shares[..., None] * of_density).sum(axis=axis),
             (weights[..., None, None] * (of_score - of_lever_arms)).sum(axis=axis),
-            ((w**2)[..., None, None] * j[..., :, None] * j[..., None, :]).sum(axis=axis),
         )
 
     def sums(self, own_is_source, windows=None, cut=EVERYTHING):
@@ -82,7 +81,7 @@ class Pairs:
         return sums
 
     def check(self, sums, own_is_source, counts):
-        score, sensitivity, curvature, squares = self.expected(own_is_source, counts)
+        score, sensitivity, curvature = self.expected(own_is_source, counts)
         free, f = np.ix_(range(len(sums)), self.free), np.ix_(range(len(sums)), self.free, self.free)
 
         def close(got, expected, rtol):
@@ -91,8 +90,7 @@ class Pairs:
         close(sums[:, SCORE:SENSITIVITY][free], score[free], 1e-12)
         close(sums[:, SENSITIVITY:CURVATURE][free], sensitivity[free], 1e-8)
         if own_is_source:
-            close(sums[:, CURVATURE:SQUARES].reshape(-1, 6, 6)[f], curvature[f], 1e-8)
-            close(sums[:, SQUARES:].reshape(-1, 6, 6)[f], squares[f], 1e-12)
+            close(sums[:, CURVATURE:].reshape(-1, 6, 6)[f], curvature[f], 1e-8)
         else:
             np.testing.assert_array_equal(sums[:, CURVATURE:], 0.0)
 

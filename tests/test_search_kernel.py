@@ -1,14 +1,14 @@
 """The compiled search and the choice of representatives against NumPy, one iteration and one choice at a time."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import reference
 from mixtures import random_points_and_covariances, random_pose
 
-from adagmm_o3d import coarse
-from adagmm_o3d.coarse import MergedMixture
+from adagmm_o3d.coarse import COARSE_BITS, MergedMixture
 from adagmm_o3d.expectation import MOST_UNMATCHED
 from adagmm_o3d.kernels.acceleration import LOG_SIGMA, STATE, UNMATCHED_SHARE, accelerate, empty_memory, forget
 from adagmm_o3d.kernels.culling import GROUP, TILE
@@ -17,17 +17,12 @@ from adagmm_o3d.start_search import Limits, Start, run_starts
 
 FREE = {2: [2, 3, 4], 3: [0, 1, 2, 3, 4, 5]}
 VOLUME = 20.0
-COARSE_BITS_SHIPPED = coarse.COARSE_BITS
-LIMITS = Limits(floor=1e-4, least_unmatched=0.02, relative_rmse=1e-24)
+# As far as float32 tells; what the search leaves out by itself has a test of its own.
+EVERY = 40.0
+LIMITS = Limits(floor=1e-4, least_unmatched=0.02, relative_rmse=1e-24, bits=EVERY)
 shapes = pytest.mark.parametrize(
     ("dimension", "isotropic"), [(2, True), (2, False), (3, True), (3, False)], ids=["2D", "2D a", "3D", "3D a"]
 )
-
-
-@pytest.fixture(autouse=True)
-def every_pair_counts(monkeypatch):
-    """As far as float32 tells; what the search leaves out by itself has a test of its own."""
-    monkeypatch.setattr(coarse, "COARSE_BITS", 40.0)
 
 
 def lifted(matrices, zz):
@@ -175,7 +170,7 @@ def test_iterations_follow_each_other_as_on_the_naive_sums(dimension, isotropic,
     # in between, or because a step would go farther.
     p = Problem(dimension, isotropic)
     for sigma, follow, floor in ((0.3, 1.0, 0.01), (0.3, 0.0, 0.15), (0.1, 1.0, 0.001)):
-        limits = Limits(floor=floor, least_unmatched=0.02, relative_rmse=0.0, accelerated=accelerated)
+        limits = Limits(floor=floor, least_unmatched=0.02, relative_rmse=0.0, accelerated=accelerated, bits=EVERY)
         expected = p.expected_run(sigma, 0.3, 0.8, 8, follow, limits)
         (end,) = p.run(sigma=sigma, unmatched=0.3, fastest=0.8, iterations=8, follow=follow, limits=limits)
         poses = [p.plain(iteration.pose) for iteration in end.iterations]
@@ -189,12 +184,12 @@ def test_iterations_follow_each_other_as_on_the_naive_sums(dimension, isotropic,
 def test_acceleration_leads_to_the_same_end_sooner(dimension, isotropic):
     # From near an optimum: from farther away a long step may end in another one.
     p = Problem(dimension, isotropic)
-    limits = Limits(floor=0.1, least_unmatched=0.02, relative_rmse=1e-9)
+    limits = Limits(floor=0.1, least_unmatched=0.02, relative_rmse=1e-9, bits=EVERY)
     (plain,) = p.run(sigma=0.1, fastest=0.9, iterations=500, follow=0.0, limits=limits)
     beside = p.moved(np.full(6, 0.05), p.plain(plain.pose))
     ends = []
     for accelerated in (False, True):
-        limits = Limits(floor=0.1, least_unmatched=0.02, relative_rmse=1e-9, accelerated=accelerated)
+        limits = Limits(floor=0.1, least_unmatched=0.02, relative_rmse=1e-9, accelerated=accelerated, bits=EVERY)
         ends += p.run(sigma=0.1, fastest=0.9, iterations=500, follow=0.0, limits=limits, poses=[beside])
     slow, fast = ends
     assert plain.settled and slow.settled and fast.settled
@@ -219,11 +214,11 @@ def test_sigma_follows_the_residuals_within_its_bounds(dimension, isotropic):
     sums, uniform = p.sums(p.pose, 0.2, 0.3)
     observed = 0.2 * sums.energy / sums.weight / dimension
     for fastest, follow, floor in ((0.01, 1.0, 1e-4), (0.9, 0.0, 1e-4), (0.3, 0.5, 1e-4), (0.01, 0.0, 0.17)):
-        limits = Limits(floor=floor, least_unmatched=0.02, relative_rmse=1e-24)
+        limits = Limits(floor=floor, least_unmatched=0.02, relative_rmse=1e-24, bits=EVERY)
         (end,) = p.run(fastest=fastest, follow=follow, limits=limits)
         np.testing.assert_allclose(end.sigma, max(fastest * 0.2, follow * observed, floor), rtol=1e-5)
     for least in (0.02, 0.98):
-        (end,) = p.run(limits=Limits(floor=1e-4, least_unmatched=least, relative_rmse=1e-24))
+        (end,) = p.run(limits=Limits(floor=1e-4, least_unmatched=least, relative_rmse=1e-24, bits=EVERY))
         expected = min(max(1.0 - p.matched(sums, uniform), least), MOST_UNMATCHED)
         np.testing.assert_allclose(end.unmatched, expected, rtol=1e-5)
 
@@ -231,7 +226,7 @@ def test_sigma_follows_the_residuals_within_its_bounds(dimension, isotropic):
 @shapes
 def test_it_is_settled_when_neither_pose_nor_sigma_move(dimension, isotropic):
     p = Problem(dimension, isotropic)
-    limits = Limits(floor=0.1, least_unmatched=0.1, relative_rmse=1e-7)
+    limits = Limits(floor=0.1, least_unmatched=0.1, relative_rmse=1e-7, bits=EVERY)
     (end,) = p.run(sigma=0.1, fastest=0.5, iterations=300, follow=0.0, limits=limits)
     assert end.settled and 3 < len(end.iterations) < 300 and end.sigma == 0.1
     # ‖δ‖ is the distance between poses in turned and shifted directions, up to √2 for the rotation's matrix.
@@ -239,7 +234,7 @@ def test_it_is_settled_when_neither_pose_nor_sigma_move(dimension, isotropic):
     assert np.linalg.norm(last - before) < 2e-4
     earlier, later = (p.plain(iteration.pose) for iteration in end.iterations[-3:-1])
     assert np.linalg.norm(later - earlier) > 1e-5
-    never_moving = Limits(0.1, 0.1, relative_rmse=1e5)
+    never_moving = Limits(0.1, 0.1, relative_rmse=1e5, bits=EVERY)
     (falling,) = p.run(sigma=0.3, fastest=0.98, iterations=3, follow=0.0, limits=never_moving)
     assert not falling.settled and len(falling.iterations) == 3
     (resting,) = p.run(sigma=0.3, fastest=0.995, iterations=3, follow=0.0, limits=never_moving)
@@ -252,7 +247,7 @@ def test_what_a_step_may_be_to_rest_grows_with_sigma(dimension, isotropic):
     sums, _ = p.sums(p.pose, 0.2, 0.3)
     moved = float((p.newton_step(sums, p.pose) ** 2).sum()) / 0.2
     for share, settled in ((1.001, True), (0.999, False)):
-        limits = Limits(floor=0.2, least_unmatched=0.02, relative_rmse=share * moved)
+        limits = Limits(floor=0.2, least_unmatched=0.02, relative_rmse=share * moved, bits=EVERY)
         (end,) = p.run(sigma=0.2, unmatched=0.3, follow=0.0, limits=limits)
         assert end.settled is settled
 
@@ -273,9 +268,8 @@ def test_tiles_and_groups_out_of_reach_are_left_out_and_nothing_else(dimension, 
 
 @pytest.mark.parametrize("vague", ["source", "target"])
 @pytest.mark.parametrize("what", ["covariances", "spreads"])
-def test_a_pair_reaches_as_far_as_the_variance_of_either_side_does(vague, what, monkeypatch):
+def test_a_pair_reaches_as_far_as_the_variance_of_either_side_does(vague, what):
     # It weighs exp(-12.5), 2^-18: within the reach of the vague side, far out of that of the sharp one.
-    monkeypatch.setattr(coarse, "COARSE_BITS", 24.0)
     p, sigma = Problem(3, False, sizes=(9, TILE + 40)), 0.5
     p.pose = np.eye(4)
     p.source.points *= 1e-3
@@ -288,20 +282,18 @@ def test_a_pair_reaches_as_far_as_the_variance_of_either_side_does(vague, what, 
             factor = 1e-6 if name != what else scale
             getattr(side, name)[:] = factor * np.eye(3) / (sigma if name == "covariances" else 1.0)
         side.build()
-    (end,) = p.run(sigma=sigma, unmatched=0.3)
+    (end,) = p.run(sigma=sigma, unmatched=0.3, limits=replace(LIMITS, bits=24.0))
     sums, uniform = p.sums(p.pose, sigma, 0.3)
     np.testing.assert_allclose(end.iterations[0].matched, p.matched(sums, uniform), rtol=2e-3)
 
 
 @shapes
-def test_the_search_leaves_out_no_pair_that_a_coarse_mixture_tells(dimension, isotropic, monkeypatch):
+def test_the_search_leaves_out_no_pair_that_a_coarse_mixture_tells(dimension, isotropic):
     p = Problem(dimension, isotropic, sizes=(10, 300))
     (every,) = p.run(sigma=1e-2)
-    monkeypatch.undo()
-    few = Problem(dimension, isotropic, sizes=(10, 300))
-    (end,) = few.run(sigma=1e-2)
+    (end,) = p.run(sigma=1e-2, limits=replace(LIMITS, bits=COARSE_BITS))
     lost = every.iterations[0].matched - end.iterations[0].matched
-    assert 0.0 < lost + 1e-9 < 2.0**-COARSE_BITS_SHIPPED * 300
+    assert 0.0 < lost + 1e-9 < 2.0**-COARSE_BITS * 300
 
 
 @pytest.mark.parametrize(("n", "count"), [(3, 3), (40, 1), (40, 7), (200, 30)])

@@ -1,4 +1,4 @@
-"""The score of each point: the pull of all its pairs on the pose, how that changes with the pose, and its variance.
+"""The score of each point: the pull of all its pairs on the pose, and how that changes with the pose.
 
 What the pose covariance is made of. Pairs are those of `convolution_sums`, in float64, and only those of chosen points
 of one cloud with all of the other, so that memory stays that of the points.
@@ -19,8 +19,7 @@ SCORE = 0  # 0..5: Σ w j, w the weight of a pair, j = Jᵀ S⁻¹ d the gradien
 SENSITIVITY = 6  # 6..11: -Σ share ∂c/∂δ, the change of the density at the point
 CURVATURE = 12  # 12..47: Σ w ∂j/∂δ + Σ j ∂c/∂δ w/c, row by row: the change of the score but for that of the densities
 # ... and but for the Σ w e x v by which a shift along e moves the lever arms: at an optimum the pulls v sum to nothing.
-SQUARES = 48  # 48..83: Σ w² j jᵀ, row by row
-POINT_SUMS = 84
+POINT_SUMS = 48
 
 
 @njit(**FLAGS)
@@ -28,7 +27,7 @@ def add_pair(y, x, a, b, planar, cut, weight, share, curved, inverse, slope, j, 
     """Add one pair to `row` (POINT_SUMS); `a`, `b` packed covariances, the rest work space.
 
     weight : of the pair, per unit of c.   share : of the other point in the density at this one.   curved : whether
-    CURVATURE and SQUARES are wanted, which are the same sums for both clouds.
+    CURVATURE is wanted, which is the same sum for both clouds.
     """
     dx, dy, dz = y[0] - x[0], y[1] - x[1], y[2] - x[2]
     s0, s1, s2, s3, s4 = a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4]
@@ -88,7 +87,6 @@ def add_pair(y, x, a, b, planar, cut, weight, share, curved, inverse, slope, j, 
             if i == k and k < 3:
                 h -= along
             row[CURVATURE + 6 * i + k] += w * (h - j[i] * change[k])
-            row[SQUARES + 6 * i + k] += w * w * j[i] * j[k]
 
 
 def _build(stamp):

@@ -15,7 +15,17 @@ def build_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="adagmm-bench", description="The paper's experiments, with other registration methods beside ours."
     )
-    from adagmm_bench.commands import ablation, gpu, kinect, methods_list, recordings, replay, simulations, speed
+    from adagmm_bench.commands import (
+        ablation,
+        covariance,
+        gpu,
+        kinect,
+        methods_list,
+        recordings,
+        replay,
+        simulations,
+        speed,
+    )
 
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
@@ -44,6 +54,12 @@ def build_parser() -> argparse.ArgumentParser:
         "what each choice of the default is worth: one undone at a time",
         ablation.add_arguments,
         ablation.run,
+    )
+    add(
+        "covariance",
+        "whether true errors are as large as the pose covariance says",
+        covariance.add_arguments,
+        covariance.run,
     )
     add("gpu", "the CUDA kernels on this machine's card: right, and how fast", gpu.add_arguments, gpu.run)
     add("replay", "one trial again, alone, printed and shown in Rerun", replay.add_arguments, replay.run)

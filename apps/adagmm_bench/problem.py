@@ -76,6 +76,13 @@ class Prepared:
         T[:D, D] = self.scale * T_prepared[:D, D] + self.target_offset - R @ self.source_offset
         return T
 
+    def prepared_pose(self, T: np.ndarray) -> np.ndarray:
+        """The way in: the pose between the prepared clouds, from the one between the clouds as they were given."""
+        D = len(self.source_offset)
+        T_prepared = np.array(T, dtype=float)
+        T_prepared[:D, D] = (T[:D, D] - self.target_offset + T[:D, :D] @ self.source_offset) / self.scale
+        return T_prepared
+
 
 def prepare(problem: Problem, preparation: str) -> Prepared:
     """Scale both clouds by the larger RMS radius, as the paper does, and start as `preparation` says.

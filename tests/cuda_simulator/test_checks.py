@@ -31,7 +31,7 @@ def test_a_pass_that_leaves_something_unwritten_is_found(monkeypatch):
     assert failed == {
         "column densities",
         *(f"convolved {what}" for what in ("Hessian", "gradient", "energy")),
-        *(f"scores, {what}" for what in ("curvature", "by_points", "by_pairs")),
+        *(f"scores, {what}" for what in ("curvature", "by_points", "by_blocks")),
     }
 
 

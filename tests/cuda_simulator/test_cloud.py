@@ -225,6 +225,6 @@ def test_scores_are_those_of_the_host(make, mutuality, no_points_on_the_host):
     fit = Fit(pose, 2e-3, 0.2, 30.0, mutuality)
     expected = score_moments(PairLoop(*host), *host, fit)
     scores = score_moments(pair_loop.CudaPairLoop(*device), *device, fit)
-    for what in ("curvature", "by_points", "by_pairs", "matched"):
+    for what in ("curvature", "by_points", "by_blocks", "matched"):
         wanted = getattr(expected, what)
         np.testing.assert_allclose(getattr(scores, what), wanted, rtol=1e-4, atol=1e-5 * np.abs(wanted).max())

@@ -21,8 +21,8 @@ symmetric_product, dot, cross, adjugate = (
     formulas.adjugate,
 )
 
-# Sums of a point: score (6), sensitivity (6), then for source points curvature (21) and squares (21), row by row.
-SENSITIVITY, CURVATURE, SQUARES, SUMS = 6, 12, 33, 54
+# Sums of a point: score (6), sensitivity (6), then for source points curvature (21), row by row.
+SENSITIVITY, CURVATURE, SUMS = 6, 12, 33
 # What a point is made of: place, covariance, largest variance.
 POINT = 10
 # Where the entries of a symmetric 6x6 matrix are in its upper triangle.
@@ -38,8 +38,7 @@ def unfolded(sums):
     rows = np.zeros((sums.shape[1], layout.POINT_SUMS))
     rows[:, : layout.CURVATURE] = sums[:CURVATURE].T
     if len(sums) == SUMS:
-        rows[:, layout.CURVATURE : layout.SQUARES] = sums[CURVATURE + TRIANGLE].T
-        rows[:, layout.SQUARES :] = sums[SQUARES + TRIANGLE].T
+        rows[:, layout.CURVATURE :] = sums[CURVATURE + TRIANGLE].T
     return rows
 
 
@@ -95,7 +94,7 @@ def scored(y0, y1, y2, d0, d1, d2, a0, a1, a2, a3, a4, a5, b0, b1, b2, b3, b4, b
 
 @fast
 def curved(y0, y1, y2, d0, d1, d2, a0, a1, a2, a3, a4, a5, b0, b1, b2, b3, b4, b5, cut, weight, share, s):
-    """The same with curvature and squares."""
+    """The same with the curvature."""
     c0, c1, c2, c3, c4, c5, v0, v1, v2, density = geometry(
         d0, d1, d2, a0 + b0, a1 + b1, a2 + b2, a3 + b3, a4 + b4, a5 + b5, cut
     )
@@ -118,7 +117,7 @@ def curved(y0, y1, y2, d0, d1, d2, a0, a1, a2, a3, a4, a5, b0, b1, b2, b3, b4, b
     k00, k10, k20 = cross(y0, y1, y2, c0, c1, c2)
     k01, k11, k21 = cross(y0, y1, y2, c1, c3, c4)
     k02, k12, k22 = cross(y0, y1, y2, c2, c4, c5)
-    u, w2 = HALF * w, w * w
+    u = HALF * w
     return (
         s[0] + w * j0,
         s[1] + w * j1,
@@ -153,27 +152,6 @@ def curved(y0, y1, y2, d0, d1, d2, a0, a1, a2, a3, a4, a5, b0, b1, b2, b3, b4, b
         s[30] + w * (c3 - v1 * v1),
         s[31] + w * (c4 - v1 * v2),
         s[32] + w * (c5 - v2 * v2),
-        s[33] + w2 * j0 * j0,
-        s[34] + w2 * j0 * j1,
-        s[35] + w2 * j0 * j2,
-        s[36] + w2 * j0 * v0,
-        s[37] + w2 * j0 * v1,
-        s[38] + w2 * j0 * v2,
-        s[39] + w2 * j1 * j1,
-        s[40] + w2 * j1 * j2,
-        s[41] + w2 * j1 * v0,
-        s[42] + w2 * j1 * v1,
-        s[43] + w2 * j1 * v2,
-        s[44] + w2 * j2 * j2,
-        s[45] + w2 * j2 * v0,
-        s[46] + w2 * j2 * v1,
-        s[47] + w2 * j2 * v2,
-        s[48] + w2 * v0 * v0,
-        s[49] + w2 * v0 * v1,
-        s[50] + w2 * v0 * v2,
-        s[51] + w2 * v1 * v1,
-        s[52] + w2 * v1 * v2,
-        s[53] + w2 * v2 * v2,
     )
 
 
@@ -279,27 +257,6 @@ def _build(of_source, isotropic, stamp):
             block[30, t] = s[30]
             block[31, t] = s[31]
             block[32, t] = s[32]
-            block[33, t] = s[33]
-            block[34, t] = s[34]
-            block[35, t] = s[35]
-            block[36, t] = s[36]
-            block[37, t] = s[37]
-            block[38, t] = s[38]
-            block[39, t] = s[39]
-            block[40, t] = s[40]
-            block[41, t] = s[41]
-            block[42, t] = s[42]
-            block[43, t] = s[43]
-            block[44, t] = s[44]
-            block[45, t] = s[45]
-            block[46, t] = s[46]
-            block[47, t] = s[47]
-            block[48, t] = s[48]
-            block[49, t] = s[49]
-            block[50, t] = s[50]
-            block[51, t] = s[51]
-            block[52, t] = s[52]
-            block[53, t] = s[53]
         cuda.syncthreads()
         reduce_tile(block, count_of_sums, t, k, sums)
 

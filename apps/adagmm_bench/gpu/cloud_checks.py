@@ -11,7 +11,7 @@ import open3d as o3d
 from adagmm_o3d import estimate_surface_covariances
 from adagmm_o3d.kernels.pair_loop import PairLoop
 from adagmm_o3d.mixture import Mixture, make_mixture, normalise
-from adagmm_o3d.pose_covariance import SCORED_PAIRS, Fit, score_moments
+from adagmm_o3d.pose_covariance import SCORED, Fit, score_moments
 
 # The mixtures are float64, but for the digits that thin covariances lose. Neighbours at nearly the same distance may
 # change places. The scores are sums of float32.
@@ -40,8 +40,8 @@ def cloud_errors(source: Mixture, target: Mixture, pose: np.ndarray) -> Iterator
     fit = Fit(pose, SIGMA, UNMATCHED, VOLUME, MUTUALITY)
     scores = score_moments(CudaPairLoop(*device), *device, fit)
     theirs = score_moments(PairLoop(moving, fixed), moving, fixed, fit)
-    if len(source) * len(target) <= SCORED_PAIRS:  # else the two look at different points
-        for what in ("curvature", "by_points", "by_pairs"):
+    if max(len(source), len(target)) <= SCORED:  # else the two look at different points
+        for what in ("curvature", "by_points", "by_blocks"):
             yield f"scores, {what}", _relative(getattr(scores, what), getattr(theirs, what)), SUMMED
     yield "probabilities of a partner", _relative(scores.matched, theirs.matched), SUMMED
     if len(target) > 3:

@@ -137,8 +137,10 @@ def count_certain(mixture: Mixture) -> int:
 
 
 def _certain(mixture: Mixture, count: int) -> NDArray[np.intp]:
-    """At most `count` indices of components that are not flagged as outliers."""
+    """At most `count` indices of components that are not flagged as outliers; of all where every one is."""
     keep = np.flatnonzero(mixture.variances <= FLAGGED)
+    if len(keep) == 0:
+        keep = np.arange(len(mixture))
     if len(keep) > count:
         keep = np.sort(np.random.default_rng(0).permutation(keep)[:count])
     return keep

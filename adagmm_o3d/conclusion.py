@@ -8,7 +8,7 @@ import numpy as np
 
 from .arguments import Array
 from .em import Outcome
-from .expectation import uniform_density
+from .expectation import SIGMA_FLOOR, uniform_density
 from .mixture import Mixture, Normalisation
 from .pairs import Pairs
 from .result import PointRegistrationResult, PoseUncertainty, StopReason
@@ -44,7 +44,9 @@ def conclude(
     row_weights, overlap = np.zeros(len(source.kept)), 0.0
     if outcome.stop_reason is not StopReason.NO_OVERLAP:
         uniform = uniform_density(JUDGED_UNMATCHED, dimension, volume)
-        posterior = pairs.posterior_sums(outcome.pose, outcome.iterations[-1].sigma, uniform)
+        # Finer than the floor, a point between the samples of the other cloud would seem to have no partner.
+        sigma = max(outcome.iterations[-1].sigma, SIGMA_FLOOR)
+        posterior = pairs.posterior_sums(outcome.pose, sigma, uniform)
         row_weights[source.kept], overlap = posterior.row_weights, posterior.overlap
     return PointRegistrationResult(
         transformation=poses[-1].copy(),

@@ -175,7 +175,7 @@ def test_a_pose_short_of_the_end_says_so(dimension, mutuality):
     delta = delta[registered.free]
     assert delta @ np.linalg.solve(settled, delta) > 10.0
     change = registered.uncertainty().covariance - settled
-    np.testing.assert_allclose(change, np.outer(delta, delta), rtol=0, atol=0.3 * 0.002**2)
+    np.testing.assert_allclose(change, np.outer(delta, delta), rtol=0, atol=0.5 * 0.002**2)
 
 
 @dimensions

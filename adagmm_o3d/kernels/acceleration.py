@@ -24,9 +24,9 @@ STATE = 8
 # How many past steps are combined.
 MEMORY = 3
 # A residual that has grown by more than this comes from somewhere else: the past says nothing about it.
-GROWTH = 2.0
+GROWTH = 1.0
 # A step goes no further than this: in standard deviations of the mixtures, and in log σ.
-LONGEST_STEP, LARGEST_CHANGE = 1.0, 0.5
+LONGEST_STEP, LARGEST_CHANGE = 0.3, 0.2
 RIDGE = 1e-10
 
 

@@ -100,7 +100,8 @@ def _renamed_when_complete(path: Path) -> Iterator[Path]:
         partial.write_bytes(bytes(LEAST_ROOM_BYTES))
         os.truncate(partial, 0)
     except OSError as error:
-        partial.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # there may be no folder for it either
+            partial.unlink()
         raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
     try:
         yield partial

@@ -132,8 +132,8 @@ def sample(mixture: Mixture, count: int) -> MergedMixture:
 
 
 def count_certain(mixture: Mixture) -> int:
-    """How many components are not flagged as outliers."""
-    return int((mixture.variances <= FLAGGED).sum())
+    """How many components are not flagged as outliers; all where every one is, as `_certain` has it."""
+    return int((mixture.variances <= FLAGGED).sum()) or len(mixture)
 
 
 def _certain(mixture: Mixture, count: int) -> NDArray[np.intp]:

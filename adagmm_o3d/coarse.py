@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from .arguments import Array
 from .kernels.compiling import LOG2_SCALE
-from .kernels.convolved_pass import MATRIX, pack
+from .kernels.convolved_pass import pack
+from .kernels.convolved_rows import MATRIX
 from .kernels.farthest_points import farthest_points
 from .kernels.tiles import Float32, make_tiles, morton_order
 from .mixture import PACKED, Mixture
@@ -66,8 +67,21 @@ class MergedMixture:
         tiles = make_tiles(points, reach[0], np.zeros_like(reach[0]))
         of_spreads = make_tiles(points, reach_spreads[0], np.zeros_like(reach[0]))
         packed = pack(points, self.weights[order], len(matrices))
-        tile_spreads = of_spreads.variance[None], of_spreads.group_variance[None]
-        return packed, matrices, spreads, reach, reach_spreads, *tile_spreads, *tiles
+        return (
+            packed,
+            matrices,
+            spreads,
+            reach,
+            reach_spreads,
+            of_spreads.variance[None],
+            of_spreads.group_variance[None],
+            tiles.lo,
+            tiles.hi,
+            tiles.variance[None],
+            tiles.group_lo,
+            tiles.group_hi,
+            tiles.group_variance[None],
+        )
 
     @cached_property
     def _ordered(self) -> tuple[Any, ...]:

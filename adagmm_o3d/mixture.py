@@ -113,9 +113,10 @@ class Mixture:
         """(n,) the largest eigenvalue of each covariance: how far the point reaches."""
         if self.isotropic:
             return self.covariances[:, 0, 0].copy()
-        return np.asarray(
-            np.linalg.eigvalsh(self.covariances[:, : self.dimension, : self.dimension])[:, -1], np.float64
-        )
+        if self.dimension == 2:
+            xx, xy, yy = self.covariances[:, 0, 0], self.covariances[:, 0, 1], self.covariances[:, 1, 1]
+            return 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
+        return np.asarray(np.linalg.eigvalsh(self.covariances)[:, -1], np.float64)
 
     def centroid(self, weights: Array) -> Array:
         """(3,) mean of the points with (n,) weights."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -69,15 +70,9 @@ class End:
     def iterations(self) -> tuple[Iteration, ...]:
         """The way there; put together when it is asked for, as most ends of a search are dropped."""
         return tuple(
-            Iteration(
-                _pose(row[:12]),
-                float(row[kernel.HISTORY_SIGMA]),
-                float(row[kernel.HISTORY_ENERGY]),
-                float(row[kernel.HISTORY_MATCHED]),
-                level,
-            )
+            Iteration(pose, sigma, energy, matched, level)
             for level, rows in self.trail
-            for row in rows
+            for pose, (sigma, energy, matched) in zip(_poses(rows[:, :12]), rows[:, 12:].tolist(), strict=True)
         )
 
 
@@ -96,7 +91,7 @@ def run_starts(
     """
     if not starts:
         return []
-    poses = np.array([s.pose[:3].ravel() for s in starts])
+    poses = np.array([s.pose[:3] for s in starts]).reshape(-1, 12)
     columns = np.array([[s.sigma, s.unmatched, s.fastest, s.iterations, s.follow] for s in starts], np.float64)
     ends = np.empty((len(starts), kernel.END_COLUMNS))
     history = np.empty((len(starts), max(s.iterations for s in starts), kernel.HISTORY_COLUMNS))
@@ -115,28 +110,33 @@ def run_starts(
         ends,
         history,
     )
+    moved = _poses(poses)
     return [
         End(
-            pose=_pose(poses[k]),
-            sigma=float(ends[k, kernel.END_SIGMA]),
-            unmatched=float(ends[k, kernel.END_UNMATCHED]),
-            log_likelihood=float(ends[k, kernel.END_LIKELIHOOD]),
+            pose=moved[k],
+            sigma=sigma,
+            unmatched=unmatched,
+            log_likelihood=log_likelihood,
             start=starts[k].pose,
-            trail=((level, history[k, : int(ends[k, kernel.END_ITERATIONS])]),),
-            settled=bool(ends[k, kernel.END_SETTLED]),
+            trail=((level, history[k, : int(iterations)]),),
+            settled=bool(settled),
         )
-        for k in range(len(starts))
+        for k, (sigma, unmatched, log_likelihood, iterations, settled) in enumerate(ends.tolist())
     ]
 
 
 def distinct(ends: list[End], count: int, distance: float) -> list[End]:
     """The `count` likeliest ends whose poses differ by more than `distance`, see `pose_distance`."""
+    ranked = sorted(ends, key=lambda end: -end.log_likelihood)
+    poses = np.array([end.pose for end in ranked])
+    free = np.full(len(ranked), True)
     kept: list[End] = []
-    for end in sorted(ends, key=lambda end: -end.log_likelihood):
+    for k, end in enumerate(ranked):
         if len(kept) == count:
             break
-        if all(pose_distance(end.pose, k.pose) > distance for k in kept):
+        if free[k]:
             kept.append(end)
+            free &= pose_distance(poses, end.pose) > distance
     return kept
 
 
@@ -145,12 +145,14 @@ def joined(before: list[End], after: list[End]) -> list[End]:
     return [replace(end, start=old.start, trail=old.trail + end.trail) for old, end in zip(before, after, strict=True)]
 
 
-def pose_distance(a: Array, b: Array) -> float:
-    """‖R_a − R_b‖_F + ‖t_a − t_b‖ of two (4, 4) poses between normalised clouds."""
-    return float(np.linalg.norm(a[:3, :3] - b[:3, :3]) + np.linalg.norm(a[:3, 3] - b[:3, 3]))
+def pose_distance(a: Array, b: Array) -> Any:
+    """‖R_a − R_b‖_F + ‖t_a − t_b‖ of poses (..., 4, 4) between normalised clouds."""
+    squares = (a[..., :3, :] - b[..., :3, :]) ** 2
+    return np.sqrt(squares[..., :3].sum(axis=(-2, -1))) + np.sqrt(squares[..., 3].sum(axis=-1))
 
 
-def _pose(rows: Array) -> Array:
-    pose = np.eye(4)
-    pose[:3] = rows.reshape(3, 4)
-    return pose
+def _poses(rows: Array) -> Array:
+    """(n, 4, 4) of (n, 12)."""
+    poses = np.zeros((len(rows), 4, 4))
+    poses[:, :3], poses[:, 3, 3] = rows.reshape(-1, 3, 4), 1.0
+    return poses

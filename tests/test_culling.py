@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from adagmm_o3d.kernels import culling
-from adagmm_o3d.kernels.culling import GROUP, RUN, TILE, closest_tile, next_run, reach_group, reach_points, reach_sq
+from adagmm_o3d.kernels.culling import GROUP, RUN, TILE, closest_tile, next_run, reach, reach_sq
 from adagmm_o3d.kernels.tiles import make_tiles, morton_order
 
 COUNT = 3 * GROUP * TILE + 5 * TILE + 3
@@ -28,8 +28,9 @@ class Scene:
             variance, bits = np.float32(vague * rng.uniform(0.2, 3.0)), np.float32(rng.uniform(4.0, 26.0))
             self.boxes.append((lo, hi, variance, bits))
 
-    def tiles_in_reach(self, box, convolved, sigma=1.0):
-        return reached(box, self.tiles.lo, self.tiles.hi, sigma * self.tiles.variance, self.tiles.bits, convolved)
+    def tiles_in_reach(self, box, sigma):
+        """Of the paper's weights."""
+        return reached(box, self.tiles.lo, self.tiles.hi, sigma * self.tiles.variance, self.tiles.bits, False)
 
 
 def reached(box, lo, hi, variances, bits, convolved):
@@ -44,35 +45,24 @@ def reached(box, lo, hi, variances, bits, convolved):
 
 
 @pytest.mark.parametrize("vague", [1e-4, 1e-2, 1e-1])
-def test_the_tiles_of_a_group_in_reach(vague):
+@pytest.mark.parametrize("kind", ["groups", "tiles", "points"])
+def test_what_is_in_reach(kind, vague):
     scene = Scene(0, vague)
-    beyond = np.empty(GROUP, np.float32)
-    counts = []
+    of_groups = scene.tiles.group_lo, scene.tiles.group_hi, scene.tiles.group_variance, scene.tiles.group_bits
+    of_tiles = scene.tiles.lo, scene.tiles.hi, scene.tiles.variance, scene.tiles.bits
+    of_points = scene.x, scene.x, scene.variances, scene.bits
+    others, step = {"groups": (of_groups, 1), "tiles": (of_tiles, GROUP), "points": (of_points, TILE)}[kind]
+    count, counts = len(others[2]), []
     for box in scene.boxes:
-        expected = scene.tiles_in_reach(box, convolved=True)
-        for g in range(scene.tiles.group_lo.shape[1]):
-            of_group = expected[g * GROUP : (g + 1) * GROUP]
-            hits = reach_group(g, box, scene.tiles, beyond)
-            assert hits == of_group.sum()
-            if hits:
-                np.testing.assert_array_equal(beyond[: len(of_group)] < 0.0, of_group)
+        expected = reached(box, *others, True)
+        for first in range(0, count, step):
+            last = min(count, first + step)
+            beyond = np.empty(step, np.float32)
+            hits = reach(first, last, *box, *others, beyond)
+            np.testing.assert_array_equal(beyond[: last - first] < 0.0, expected[first:last])
+            assert hits == expected[first:last].sum()
             counts.append(hits)
-    assert min(counts) < np.mean(counts) < GROUP
-    assert vague == 1e-1 or min(counts) == 0
-
-
-@pytest.mark.parametrize("vague", [1e-4, 1e-2, 1e-1])
-def test_the_points_of_a_tile_in_reach_are_put_behind_those_before(vague):
-    scene = Scene(1, vague)
-    beyond, before = np.empty(TILE, np.float32), np.array([7, 8, 9])
-    for box in scene.boxes:
-        expected = reached(box, scene.x, scene.x, scene.variances, scene.bits, True)
-        for tile in (*range(0, COUNT // TILE, 7), COUNT // TILE):
-            index = np.full(3 + TILE + 1, -1, np.int32)
-            index[:3] = before
-            count = reach_points(tile, box, scene.x, scene.variances, scene.bits, beyond, index, 3)
-            found = tile * TILE + np.flatnonzero(expected[tile * TILE : (tile + 1) * TILE])
-            np.testing.assert_array_equal(index[:count], [*before, *found])
+    assert vague == 1e-1 or min(counts) < np.mean(counts) < max(counts)
 
 
 @pytest.mark.parametrize("vague", [1e-4, 1e-2, 1.0])
@@ -81,7 +71,7 @@ def test_runs_are_the_stretches_of_tiles_in_reach(vague):
     count = scene.tiles.lo.shape[1]
     for box in scene.boxes:
         sigma = np.float32(0.5)
-        inside = scene.tiles_in_reach(box, convolved=False, sigma=0.5)
+        inside = scene.tiles_in_reach(box, sigma=0.5)
         expected, start = [], None
         for tile in range(count + 1):
             if start is not None and (tile == count or not inside[tile] or (tile - start) * TILE >= RUN):
@@ -111,11 +101,10 @@ def test_the_closest_tile_is_the_one_with_the_smallest_gap():
 
 
 def test_a_pair_of_equals_reaches_as_far_as_its_weight_lives():
-    # exp2(-d²/(a + b)) falls to 2^-bits at d² = (a + b) bits; the paper's weight is the sum of both exp2(-d²/a).
-    assert reach_sq(True, 2.0, 20.0, 3.0, 10.0) == 50.0
-    assert reach_sq(True, 2.0, 10.0, 3.0, 20.0) == 50.0
-    assert reach_sq(False, 2.0, 20.0, 3.0, 10.0) == 40.0
-    assert reach_sq(False, 2.0, 10.0, 3.0, 20.0) == 60.0
+    # The paper's weight is the sum of both exp2(-d²/a), and each falls to 2^-bits at d² = a bits; exp2(-d²/(a + b)),
+    # which `reach` is about, at (a + b) bits.
+    assert reach_sq(2.0, 20.0, 3.0, 10.0) == 40.0
+    assert reach_sq(2.0, 10.0, 3.0, 20.0) == 60.0
 
 
 def test_the_first_tile_behind_a_group_left_out_is_not():

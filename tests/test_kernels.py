@@ -97,13 +97,9 @@ def test_posterior_sums_match_the_naive_reference(dimension, isotropic, mutualit
     np.testing.assert_allclose(sums.gradient[free], expected.gradient, rtol=1e-5, atol=1e-6 * scale)
     np.testing.assert_allclose([sums.weight, sums.energy], [expected.weight, expected.energy], rtol=1e-6, atol=0)
     posterior = expected.densities / (expected.densities + uniform)
-    column_posterior = expected.column_densities / (expected.column_densities + uniform)
     np.testing.assert_allclose(sums.row_weights, posterior, rtol=2e-6, atol=1e-9)
     np.testing.assert_allclose(sums.column_densities, expected.column_densities, rtol=2e-6, atol=1e-9)
-    overlaps = [sums.overlap, sums.target_overlap]
-    np.testing.assert_allclose(overlaps, [posterior.mean(), column_posterior.mean()], rtol=1e-6, atol=0)
-    likelihood = np.log1p(expected.densities / uniform).mean() + np.log1p(expected.column_densities / uniform).mean()
-    np.testing.assert_allclose(sums.log_likelihood, likelihood, rtol=1e-6, atol=0)
+    np.testing.assert_allclose(sums.overlap, posterior.mean(), rtol=1e-6, atol=0)
 
 
 @shapes

@@ -50,10 +50,10 @@ def accelerated_step(residual, deviation, memory, step):
         if size(residual, deviation) > GROWTH * size(last, deviation):
             known = 0
         else:
-            for k in range(min(known, MEMORY - 1), 0, -1):
-                memory[k] = memory[k - 1]
-                memory[MEMORY + k] = memory[MEMORY + k - 1]
             for i in range(STATE):
+                for k in range(min(known, MEMORY - 1), 0, -1):
+                    memory[k, i] = memory[k - 1, i]
+                    memory[MEMORY + k, i] = memory[MEMORY + k - 1, i]
                 memory[0, i] = residual[i] - last[i]
                 memory[MEMORY, i] = taken[i]
             known = min(known + 1, MEMORY)
@@ -93,8 +93,8 @@ def accelerated_step(residual, deviation, memory, step):
     if excess > 1.0:
         for i in range(STATE):
             step[i] /= excess
-    last[:] = residual
-    taken[:] = step
+    for i in range(STATE):
+        last[i], taken[i] = residual[i], step[i]
     memory[-1, 0] = known
 
 

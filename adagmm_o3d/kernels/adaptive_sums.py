@@ -133,7 +133,7 @@ def _build(stamp):
                 box = (lo, hi, sigmas[0] * largest(variances, m0, m1), largest(bits, m0, m1))
                 rows = np.zeros((CLUSTER, ROW_SUMS), np.float64)
                 for m in range(m0, m1):
-                    turn_symmetric(pose, precisions, F1 / sigmas[0], isotropic, m, turned[m - m0])
+                    turn_symmetric(pose, precisions, F1 / sigmas[0], isotropic, m, turned, m - m0)
                 tile = 0
                 while tile < count:
                     i, j, tile = next_run(tile, box, sigmas[1], tiles, n_all)
@@ -156,9 +156,8 @@ def _build(stamp):
                             )  # fmt: skip
                 for m in range(m0, m1):
                     k = m - m0
-                    row = rows[k]
-                    row_weights[m] = amplitudes[m] * row[WEIGHT]
-                    add_row(row, amplitudes[m], y[0, k], y[1, k], y[2, k], turned[k], total)
+                    row_weights[m] = amplitudes[m] * rows[k, WEIGHT]
+                    add_row(rows, k, amplitudes[m], y[0, k], y[1, k], y[2, k], turned, total)
 
     return adaptive_sums
 

@@ -32,15 +32,13 @@ def gap_sq(lo, hi, box_lo, box_hi, i):
 
 
 @njit(**FLAGS)
-def reach_sq(convolved, variance, bits, other_variance, other_bits):
-    """Squared distance beyond which no pair of two groups of points weighs anything.
+def reach_sq(variance, bits, other_variance, other_bits):
+    """Squared distance beyond which no pair of two groups of points weighs anything, for the paper's weights.
 
     `variance` is the largest principal variance in a group (times σ), `bits` the powers of two by which a weight may
     fall before it is lost, fewer for vague points. The paper's weight lives as long as either point's own Gaussian
-    does; a convolved one has the sum of the variances and at most the amplitude of the vaguer point.
+    does; a convolved one, see `reach`, has the sum of the variances and at most the amplitude of the vaguer point.
     """
-    if convolved:
-        return (variance + other_variance) * min(bits, other_bits)
     return max(variance * bits, other_variance * other_bits)
 
 
@@ -58,11 +56,11 @@ def next_run(tile, box, sigma, tiles, n):
     while tile < count:
         if first < 0 and tile % GROUP == 0:
             g = tile // GROUP
-            limit = reach_sq(False, variance, bits, sigma * group_variance[g], group_bits[g])
+            limit = reach_sq(variance, bits, sigma * group_variance[g], group_bits[g])
             if gap_sq(lo, hi, group_lo, group_hi, g) >= limit:
                 tile += GROUP
                 continue
-        limit = reach_sq(False, variance, bits, sigma * tile_variance[tile], tile_bits[tile])
+        limit = reach_sq(variance, bits, sigma * tile_variance[tile], tile_bits[tile])
         if gap_sq(lo, hi, tile_lo, tile_hi, tile) >= limit:
             if first >= 0:
                 break
@@ -81,60 +79,21 @@ REACH_FLAGS = {**FLAGS, "fastmath": FAST | {"nnan"}}
 
 
 @njit(**REACH_FLAGS)
-def reach_groups(box, tiles, groups):
-    """Put the groups that a block of source clusters can reach into `groups`; how many they are. See `reach_group`."""
-    lo, hi, variance, bits = box
-    _, _, _, _, group_lo, group_hi, group_variance, group_bits = tiles
-    count = 0
-    for g in range(group_lo.shape[1]):
-        groups[count] = g
-        count += gap_sq(lo, hi, group_lo, group_hi, g) < reach_sq(
-            True, variance, bits, group_variance[g], group_bits[g]
-        )
-    return count
+def reach(i, j, lo, hi, variance, bits, other_lo, other_hi, other_variances, other_bits, beyond):
+    """How many of the boxes i..j a source cluster can reach, for convolved weights: those whose `beyond` is negative.
 
-
-@njit(**REACH_FLAGS)
-def reach_group(g, box, tiles, beyond):
-    """How many tiles of group g a source cluster can reach, for convolved weights: those whose `beyond` is negative.
-
-    `box` is the cluster's (corners, variance, bits); all variances are at their σ.
+    `lo`, `hi`, `variance` and `bits` are the cluster's; all variances are at their σ. A point is a box without extent.
     """
-    lo, hi, variance, bits = box
-    tile_lo, tile_hi, tile_variance, tile_bits, group_lo, group_hi, group_variance, group_bits = tiles
-    if gap_sq(lo, hi, group_lo, group_hi, g) >= reach_sq(True, variance, bits, group_variance[g], group_bits[g]):
-        return 0
-    i, j = g * GROUP, min(tile_lo.shape[1], (g + 1) * GROUP)
-    a0, a1, a2 = tile_lo[0, i:j], tile_lo[1, i:j], tile_lo[2, i:j]
-    b0, b1, b2 = tile_hi[0, i:j], tile_hi[1, i:j], tile_hi[2, i:j]
-    v, b = tile_variance[i:j], tile_bits[i:j]
     l0, l1, l2, h0, h1, h2 = lo[0], lo[1], lo[2], hi[0], hi[1], hi[2]
     hits = 0
-    for k in range(v.shape[0]):
-        d0 = max(max(a0[k] - h0, l0 - b0[k]), F0)
-        d1 = max(max(a1[k] - h1, l1 - b1[k]), F0)
-        d2 = max(max(a2[k] - h2, l2 - b2[k]), F0)
-        beyond[k] = d0 * d0 + d1 * d1 + d2 * d2 - (variance + v[k]) * min(bits, b[k])
-        hits += beyond[k] < F0
+    for n in range(i, j):
+        d0 = max(max(other_lo[0, n] - h0, l0 - other_hi[0, n]), F0)
+        d1 = max(max(other_lo[1, n] - h1, l1 - other_hi[1, n]), F0)
+        d2 = max(max(other_lo[2, n] - h2, l2 - other_hi[2, n]), F0)
+        limit = (variance + other_variances[n]) * min(bits, other_bits[n])
+        beyond[n - i] = d0 * d0 + d1 * d1 + d2 * d2 - limit
+        hits += beyond[n - i] < F0
     return hits
-
-
-@njit(**REACH_FLAGS)
-def reach_points(tile, box, x, variances, point_bits, beyond, index, count):
-    """Put the points of a tile that a source cluster can reach behind the first `count` of `index`; the new count."""
-    lo, hi, variance, bits = box
-    i, j = tile * TILE, min(variances.shape[0], (tile + 1) * TILE)
-    x0, x1, x2, v, b = x[0, i:j], x[1, i:j], x[2, i:j], variances[i:j], point_bits[i:j]
-    l0, l1, l2, h0, h1, h2 = lo[0], lo[1], lo[2], hi[0], hi[1], hi[2]
-    for k in range(v.shape[0]):
-        d0 = max(max(x0[k] - h0, l0 - x0[k]), F0)
-        d1 = max(max(x1[k] - h1, l1 - x1[k]), F0)
-        d2 = max(max(x2[k] - h2, l2 - x2[k]), F0)
-        beyond[k] = d0 * d0 + d1 * d1 + d2 * d2 - (variance + v[k]) * min(bits, b[k])
-    for k in range(v.shape[0]):
-        index[count] = i + k
-        count += beyond[k] < F0
-    return count
 
 
 @njit(**FLAGS)

@@ -1,24 +1,24 @@
 """A branch-free 2**x for float32 that the compiler turns into vector instructions; libm's exp stays scalar in Numba."""
 
-import math
-
 import numpy as np
 from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
 LOWEST = np.float32(-126.0)
-HALF = np.float32(0.5)
-C0, C1, C2, C3, C4, C5, C6 = (np.float32(math.log(2.0) ** k / math.factorial(k)) for k in range(7))
+SHIFT = np.float32(1.5 * 2**23)
+# The polynomial of degree five with a constant of one whose largest relative error on [-1/2, 1/2] is least: 9e-8, less
+# than that of Taylor's of degree six.
+C0, C1, C2, C3, C4, C5 = map(np.float32, (1.0, 0.693147, 0.24022242, 0.055507336, 0.009671513, 0.0013264727))
 EXPONENT_BIAS, MANTISSA_BITS = np.int32(127), np.int32(23)
 
 
 @intrinsic
-def _floor(_context, x):
+def _as_int32(_context, x):
     def codegen(_, builder, _signature, args):
-        return builder.call(builder.module.declare_intrinsic("llvm.floor", [args[0].type]), args)
+        return builder.bitcast(args[0], ir.IntType(32))
 
-    return x(x), codegen
+    return types.int32(types.float32), codegen
 
 
 @intrinsic
@@ -33,8 +33,18 @@ def _as_float32(_context, bits):
 @njit(fastmath={"contract"}, error_model="numpy")
 def exp2_float32(x):
     """2**x for float32 x <= 0, relative error below 3e-7; below -126 it stays at 2**-126."""
+    fraction, whole = exp2_parts(x)
+    return fraction * whole
+
+
+@njit(fastmath={"contract"}, error_model="numpy")
+def exp2_parts(x):
+    """Two factors of 2**x; the second is known long before the first."""
     x = x if x > LOWEST else LOWEST
-    whole = _floor(x + HALF)
-    r = x - whole
-    p = (((((C6 * r + C5) * r + C4) * r + C3) * r + C2) * r + C1) * r + C0
-    return p * _as_float32(np.int32((np.int32(whole) + EXPONENT_BIAS) << MANTISSA_BITS))
+    # The sum is so large that its last bit stands for one: it rounds, and its last bits are the whole number.
+    shifted = x + SHIFT
+    r = x - (shifted - SHIFT)
+    whole = _as_float32(np.int32((_as_int32(shifted) + EXPONENT_BIAS) << MANTISSA_BITS))
+    # In pairs: a pair of points waits for fewer operations one after the other than with Horner's rule.
+    square = r * r
+    return ((C5 * r + C4) * square + (C3 * r + C2)) * square + (C1 * r + C0), whole

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numba
 import numpy as np
@@ -13,9 +15,10 @@ from ..mixture import Mixture
 from .adaptive_sums import adaptive_sums
 from .compiling import LOG2_SCALE
 from .convolution_sums import convolution_sums
-from .convolved_pass import FACTOR, MATRIX, pack
+from .convolved_pass import pack
+from .convolved_rows import FACTOR, MATRIX
 from .culling import CHUNK, CLUSTER
-from .layout import GRADIENT, HESSIAN, TOTAL_ENERGY, TOTAL_LIKELIHOOD, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
+from .layout import GRADIENT, HESSIAN, TOTAL_ENERGY, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
 from .nearest import nearest_sq
 from .tiles import make_tiles, morton_order
 
@@ -49,15 +52,19 @@ class PairSums:
 class PosteriorSums(PairSums):
     """The same with weights that are posterior probabilities; row_weights are those of having a partner at all.
 
-    log_likelihood : Σ over both clouds of weight · log(1 + density of the other mixture / uniform density).
-    overlap, target_overlap : share of the source, of the target, that has a partner.
-    column_densities : (N,) density of the source mixture at the target points, in the unit of `uniform`.
+    overlap : share of the source that has a partner.
     """
 
-    log_likelihood: float
     overlap: float
-    target_overlap: float
-    column_densities: Array
+    find_column_densities: Callable[[], Array]
+
+    @cached_property
+    def column_densities(self) -> Array:
+        """(N,) density of the source mixture at the target points, in the unit of `uniform`.
+
+        Where mutuality did not need it, it takes a pass over the pairs, made when somebody asks.
+        """
+        return self.find_column_densities()
 
 
 def amplitudes_and_bits(mixture: Mixture) -> tuple[Array, Array]:
@@ -110,7 +117,8 @@ class PairLoop:
         self._bands = min(BANDS, -(-len(source) // CLUSTER))
         self._threads = max(1, min(numba.get_num_threads(), len(source) * len(target) // PAIRS_PER_THREAD))
         self._precisions: tuple[Float32, Float32] | None = None
-        self._convolved: tuple[Float32, Float32, Float32] | None = None
+        self._unit = LOG2_SCALE ** (1.0 if self._planar else 1.5)  # |Σ|^(-1/2) in powers of two
+        self._no_columns = np.empty((self._bands, 0), np.float32)
         self._scaled = np.empty((1 if self._isotropic else 6, len(target)), np.float32)
 
     def sums(self, pose: Array, source_sigma: float, target_sigma: float) -> PairSums:
@@ -150,56 +158,28 @@ class PairLoop:
             source point) and seen from the target. Its weight is their weighted geometric mean, the second to the power
             of `mutuality`: 1/2 treats both clouds alike. Above 0 it takes a pass over the pairs of its own.
         """
-        source, target = self._source, self._target
-        if self._convolved is None:
-            matrices, target_matrices = source.covariances(), target.covariances()
-            self._convolved = matrices, target_matrices, pack(target.points, target.weights32, len(matrices))
-        matrices, target_matrices, packed = self._convolved
-        scale, n = np.float32(sigma), len(target.order)
-        np.multiply(target_matrices, scale, out=packed[MATRIX:, :n])
+        target = self._target
+        packed, n = self._convolved[2], len(target.order)
         packed[FACTOR, :n] = 1.0
-        columns = np.empty((self._bands, packed.shape[1]), np.float32)
-        partials, densities = np.empty((self._bands, TOTAL_SUMS)), np.empty(len(source.order))
-        unit = LOG2_SCALE ** (1.0 if self._planar else 1.5)  # |Σ|^(-1/2) in powers of two
-
-        def column_densities(columns_only: bool) -> Array:
-            self._run(
-                convolution_sums,
-                _packed_pose(pose),
-                (
-                    source.points,
-                    matrices * scale,
-                    source.weights,
-                    source.weights32,
-                    source.variances * scale,
-                    source.bits,
-                ),
-                (packed, target.variances * scale, target.bits),
-                self._tiles.at(scale),
-                (self._planar, self._isotropic, columns_only),
-                uniform * unit,
-                mutuality,
-                columns,
-                partials,
-                densities,
-            )
-            return np.add.reduce(columns[:, :n], axis=0, dtype=np.float64) / (unit * target.weights)
-
+        columns = None
         if mutuality > 0.0:
-            packed[FACTOR, :n] = (uniform / (column_densities(True) + uniform)) ** mutuality
-        at_target = column_densities(False)
+            columns = self._column_densities(pose, sigma)
+            packed[FACTOR, :n] = (uniform / (columns + uniform)) ** mutuality
+        partials = np.empty((self._bands, TOTAL_SUMS))
+        densities = self._convolve(pose, sigma, uniform, mutuality, self._no_columns, partials)
         total = total_of(partials)
-        densities /= unit
+
+        def find_column_densities() -> Array:
+            return target.restore(self._column_densities(pose, sigma) if columns is None else columns)
+
         return PosteriorSums(
             symmetric(total[HESSIAN:GRADIENT]),
             total[GRADIENT:TOTAL_WEIGHT],
             total[TOTAL_WEIGHT],
             total[TOTAL_ENERGY],
-            source.restore(densities / (densities + uniform)),
-            total[TOTAL_LIKELIHOOD] + float(target.weights @ np.log1p(at_target / uniform)),
+            self._source.restore(densities / (densities + uniform)),
             total[TOTAL_MATCHED],
-            float(target.weights @ (at_target / (at_target + uniform))),
-            target.restore(at_target),
+            find_column_densities,
         )
 
     def nearest_sq(self, pose: Array) -> Array:
@@ -216,6 +196,42 @@ class PairLoop:
             nearest,
         )
         return self._source.restore(nearest)
+
+    @cached_property
+    def _convolved(self) -> tuple[Float32, Float32, Float32]:
+        """Covariances of source and target, and the packed target with room for its own at some σ."""
+        matrices, target_matrices = self._source.covariances(), self._target.covariances()
+        return matrices, target_matrices, pack(self._target.points, self._target.weights32, len(matrices))
+
+    def _column_densities(self, pose: Array, sigma: float) -> Array:
+        """(N,) density of the source at the target points, in the kernels' order."""
+        columns = np.empty((self._bands, self._convolved[2].shape[1]), np.float32)
+        self._convolve(pose, sigma, 0.0, 0.0, columns, np.empty((self._bands, TOTAL_SUMS)))
+        sums = np.add.reduce(columns[:, : len(self._target.order)], axis=0, dtype=np.float64)
+        return sums / (self._unit * self._target.weights)
+
+    def _convolve(
+        self, pose: Array, sigma: float, uniform: float, mutuality: float, columns: Float32, partials: Array
+    ) -> Array:
+        """Fill `columns` where there are any, otherwise `partials`; (M,) density of the target at the source points."""
+        source, target, scale = self._source, self._target, np.float32(sigma)
+        matrices, target_matrices, packed = self._convolved
+        np.multiply(target_matrices, scale, out=packed[MATRIX:, : len(target.order)])
+        densities = np.empty(len(source.order))
+        self._run(
+            convolution_sums,
+            _packed_pose(pose),
+            (source.points, matrices * scale, source.weights, source.weights32, source.variances * scale, source.bits),
+            (packed, target.variances * scale, target.bits),
+            self._tiles.at(scale),
+            (self._planar, self._isotropic, columns is not self._no_columns),
+            uniform * self._unit,
+            mutuality,
+            columns,
+            partials,
+            densities,
+        )
+        return densities / self._unit
 
     def _run(self, kernel, *args) -> None:
         threads = numba.get_num_threads()

@@ -18,10 +18,10 @@ from .acceleration import (
     accelerated_step,
     forget,
 )
-from .compiling import F0, FLAGS, KERNEL_FLAGS, LOG2_SCALE, source_stamp
-from .convolved_pass import MATRIX, SHARE, convolved_pass
-from .culling import CLUSTER
-from .layout import GRADIENT, TOTAL_ENERGY, TOTAL_LIKELIHOOD, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
+from .compiling import FLAGS, KERNEL_FLAGS, LOG2_SCALE, source_stamp
+from .convolved_pass import ONE, ZERO, convolved_pass
+from .convolved_rows import MATRIX, SHARE
+from .layout import GRADIENT, TOTAL_ENERGY, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
 
 # What is known of a start, one column each.
 SIGMA, UNMATCHED, FASTEST, ITERATIONS, FOLLOW = range(5)
@@ -91,49 +91,111 @@ def move(delta, pose):
 
 
 @njit(**FLAGS)
-def at_scale(values, spreads, sigma, scaled):
-    """σ · values + spreads, into `scaled`."""
+def at_scale(values, spreads, sigma, scaled, first):
+    """σ · values + spreads, into the rows of `scaled` from `first` on."""
     for r in range(values.shape[0]):
         for i in range(values.shape[1]):
-            scaled[r, i] = sigma * values[r, i] + spreads[r, i]
+            scaled[first + r, i] = sigma * values[r, i] + spreads[r, i]
 
 
-@njit(**FLAGS)
-def same(count, value):
-    """(count,) float32 of one value."""
-    values = np.empty(count, np.float32)
-    values[:] = value
-    return values
-
-
-@njit(**FLAGS)
+# Part of its only caller: each compiled function that holds the loops over pairs takes seconds of its own to compile.
+@njit(inline="always", **FLAGS)
 def one_pass(pose, sigma, uniform, source, target, kind, work, total):
-    """All pairs at `pose`: fills `total`; the likelihood in it is that of both clouds."""
+    """All pairs at `pose`: fills `total`, or where `kind` says densities only, the densities in `work`."""
     points, covariances, spreads, weights, weights32, reach, reach_spreads = source
-    packed, a, k, target_reach, target_reach_spreads, tile_spreads, group_spreads = target[:7]
-    matrices, own_packed, own_reach, own_target_reach, tile_reach, group_reach, column, densities, all_bits = work
-    bits, target_bits, tile_bits, group_bits = all_bits
-    tile_lo, tile_hi, tile_variance, _, group_lo, group_hi, group_variance, _ = target[7:]
-    n = a.shape[1]
-    at_scale(covariances, spreads, sigma, matrices)
-    at_scale(a, k, sigma, own_packed[MATRIX:, :n])
-    at_scale(reach, reach_spreads, sigma, own_reach)
-    at_scale(target_reach, target_reach_spreads, sigma, own_target_reach)
-    at_scale(tile_variance.reshape(1, -1), tile_spreads, sigma, tile_reach)
-    at_scale(group_variance.reshape(1, -1), group_spreads, sigma, group_reach)
-    total[:] = 0.0
-    column[:] = F0
+    _, a, k, target_reach, target_reach_spreads, tile_spreads, group_spreads = target[:7]
+    matrices, own_packed, own_reach, own_target_reach, tile_reach, group_reach, columns, densities, bits = work
+    tile_lo, tile_hi, tile_variance, group_lo, group_hi, group_variance = target[7:]
+    at_scale(covariances, spreads, sigma, matrices, 0)
+    at_scale(a, k, sigma, own_packed, MATRIX)
+    at_scale(reach, reach_spreads, sigma, own_reach, 0)
+    at_scale(target_reach, target_reach_spreads, sigma, own_target_reach, 0)
+    at_scale(tile_variance, tile_spreads, sigma, tile_reach, 0)
+    at_scale(group_variance, group_spreads, sigma, group_reach, 0)
     convolved_pass(
-        pose,
+        ZERO, ONE, pose,
         (points, matrices, weights, weights32, own_reach[0], bits),
-        (own_packed, own_target_reach[0], target_bits),
-        (tile_lo, tile_hi, tile_reach[0], tile_bits, group_lo, group_hi, group_reach[0], group_bits),
-        (kind[0], kind[1], False), uniform, 0.0,
-        (0, (points.shape[1] + CLUSTER - 1) // CLUSTER), column, total, densities,
+        (own_packed, own_target_reach[0], bits),
+        (tile_lo, tile_hi, tile_reach[0], bits, group_lo, group_hi, group_reach[0], bits),
+        kind, uniform, 0.0, columns, total, densities,
     )  # fmt: skip
-    for j in range(n):
-        share = packed[SHARE, j]
-        total[TOTAL_LIKELIHOOD] += share * math.log1p(column[j] / (share * uniform))
+
+
+@njit(**FLAGS)
+def run_start(pose, start, source, target, kind, world, bounds, relative_rmse, accelerated, bits, end, history):
+    """Run one start, serially; see `search`."""
+    floor, least, greatest = bounds
+    planar, isotropic = kind
+    dimension = 2 if planar else 3
+    m, n = source[0].shape[1], target[1].shape[1]
+    all_bits = np.full(max(m, n), bits, np.float32)
+    columns, densities = np.empty(target[0].shape[1], np.float32), np.empty(m)
+    work = (
+        np.empty((target[1].shape[0], m), np.float32),
+        target[0].copy(),
+        np.empty((1, m), np.float32),
+        np.empty((1, n), np.float32),
+        np.empty((1, target[5].shape[1]), np.float32),
+        np.empty((1, target[6].shape[1]), np.float32),
+        columns,
+        densities,
+        all_bits,
+    )
+    pose32 = np.empty(12, np.float32)
+    total = np.empty(TOTAL_SUMS)
+    residual, taken = np.empty(STATE), np.empty(STATE)
+    memory = np.zeros((2 * MEMORY + 3, STATE))
+    forget(memory)
+    sigma, unmatched = start[SIGMA], start[UNMATCHED]
+    iteration, still = 0, False
+    while True:
+        # The pass after the last step is for the likelihood; it has one place with the others to be called from, or the
+        # loops over pairs would be compiled for each.
+        ended = still or iteration == int(start[ITERATIONS])
+        for i in range(12):
+            pose32[i] = pose[i]
+        uniform = world * unmatched / (1.0 - unmatched)
+        one_pass(pose32, np.float32(sigma), uniform, source, target, (planar, isotropic, ended), work, total)
+        if ended:
+            break
+        solve(total, planar, residual)
+        energy = total[TOTAL_ENERGY] / (LOG2_SCALE * max(total[TOTAL_WEIGHT], 1e-300))
+        wanted = max(start[FOLLOW] * sigma * energy / dimension, floor)
+        new = max(start[FASTEST] * sigma, wanted)
+        moved = 0.0
+        for i in range(TURN_AND_SHIFT):
+            moved += residual[i] * residual[i]
+        still = moved <= relative_rmse * sigma and abs(new - sigma) < 0.01 * sigma
+        residual[LOG_SIGMA] = math.log(new / sigma)
+        residual[UNMATCHED_SHARE] = min(max(1.0 - total[TOTAL_MATCHED], least), greatest) - unmatched
+        if new > wanted or not accelerated:
+            forget(memory)
+            for i in range(STATE):
+                taken[i] = residual[i]
+        else:
+            accelerated_step(residual, math.sqrt(sigma), memory, taken)
+            new = max(sigma * math.exp(taken[LOG_SIGMA]), start[FASTEST] * sigma, floor)
+        move(taken, pose)
+        for i in range(12):
+            history[iteration, i] = pose[i]
+        history[iteration, HISTORY_SIGMA] = sigma
+        history[iteration, HISTORY_ENERGY] = energy
+        history[iteration, HISTORY_MATCHED] = total[TOTAL_MATCHED]
+        unmatched = min(max(unmatched + taken[UNMATCHED_SHARE], least), greatest)
+        sigma = new
+        iteration += 1
+    # The densities are relative to the uniform part, of which each end has its own.
+    likelihood = 2.0 * math.log(unmatched)
+    weights, packed = source[3], target[0]
+    for i in range(m):
+        likelihood += weights[i] * math.log1p(densities[i] / uniform)
+    for i in range(n):
+        likelihood += packed[SHARE, i] * math.log1p(columns[i] / (packed[SHARE, i] * uniform))
+    end[END_SIGMA] = sigma
+    end[END_UNMATCHED] = unmatched
+    end[END_LIKELIHOOD] = likelihood
+    end[END_ITERATIONS] = iteration
+    end[END_SETTLED] = still
 
 
 def _build(stamp):
@@ -145,76 +207,15 @@ def _build(stamp):
 
         kind : (planar, isotropic).   world : density of a uniform mixture of all points.   bounds : (floor of σ, least,
         greatest unmatched share).   relative_rmse : a start is done when ‖δ‖² is below this share of σ and σ has
-        settled.   accelerated : see `acceleration`.   bits : how far a
-        weight may fall before its pair is left out.   history : (S, most iterations, HISTORY_COLUMNS).
+        settled.   accelerated : see `acceleration`.   bits : how far a weight may fall before its pair is left out.
+        history : (S, most iterations, HISTORY_COLUMNS).
         """
         _ = stamp
-        floor, least, greatest = bounds
-        planar = kind[0]
-        dimension = 2 if planar else 3
-        m, n = source[0].shape[1], target[1].shape[1]
-        matrix_rows, padded = target[1].shape[0], target[0].shape[1]
-        tile_count, group_count = target[5].shape[1], target[6].shape[1]
         for s in prange(starts.shape[0]):
-            pose = poses[s]
-            pose32 = np.empty(12, np.float32)
-            work = (
-                np.empty((matrix_rows, m), np.float32),
-                target[0].copy(),
-                np.empty((1, m), np.float32),
-                np.empty((1, n), np.float32),
-                np.empty((1, tile_count), np.float32),
-                np.empty((1, group_count), np.float32),
-                np.empty(padded, np.float32),
-                np.empty(m),
-                (same(m, bits), same(n, bits), same(tile_count, bits), same(group_count, bits)),
-            )
-            total = np.empty(TOTAL_SUMS)
-            residual, taken = np.empty(STATE), np.empty(STATE)
-            memory = np.zeros((2 * MEMORY + 3, STATE))
-            forget(memory)
-            sigma = starts[s, SIGMA]
-            unmatched = starts[s, UNMATCHED]
-            ends[s, END_ITERATIONS] = starts[s, ITERATIONS]
-            ends[s, END_SETTLED] = 0.0
-            for iteration in range(int(starts[s, ITERATIONS])):
-                pose32[:] = pose
-                uniform = world * unmatched / (1.0 - unmatched)
-                one_pass(pose32, np.float32(sigma), uniform, source, target, kind, work, total)
-                solve(total, planar, residual)
-                energy = total[TOTAL_ENERGY] / (LOG2_SCALE * max(total[TOTAL_WEIGHT], 1e-300))
-                wanted = max(starts[s, FOLLOW] * sigma * energy / dimension, floor)
-                new = max(starts[s, FASTEST] * sigma, wanted)
-                moved = 0.0
-                for i in range(TURN_AND_SHIFT):
-                    moved += residual[i] * residual[i]
-                still = moved <= relative_rmse * sigma and abs(new - sigma) < 0.01 * sigma
-                residual[LOG_SIGMA] = math.log(new / sigma)
-                residual[UNMATCHED_SHARE] = min(max(1.0 - total[TOTAL_MATCHED], least), greatest) - unmatched
-                if new > wanted or not accelerated:
-                    forget(memory)
-                    taken[:] = residual
-                else:
-                    accelerated_step(residual, math.sqrt(sigma), memory, taken)
-                    new = max(sigma * math.exp(taken[LOG_SIGMA]), starts[s, FASTEST] * sigma, floor)
-                move(taken, pose)
-                history[s, iteration, :12] = pose
-                history[s, iteration, HISTORY_SIGMA] = sigma
-                history[s, iteration, HISTORY_ENERGY] = energy
-                history[s, iteration, HISTORY_MATCHED] = total[TOTAL_MATCHED]
-                unmatched = min(max(unmatched + taken[UNMATCHED_SHARE], least), greatest)
-                sigma = new
-                if still:
-                    ends[s, END_ITERATIONS] = iteration + 1
-                    ends[s, END_SETTLED] = 1.0
-                    break
-            pose32[:] = pose
-            uniform = world * unmatched / (1.0 - unmatched)
-            one_pass(pose32, np.float32(sigma), uniform, source, target, kind, work, total)
-            ends[s, END_SIGMA] = sigma
-            ends[s, END_UNMATCHED] = unmatched
-            # the sums are relative to the uniform part, of which each end has its own
-            ends[s, END_LIKELIHOOD] = total[TOTAL_LIKELIHOOD] + 2.0 * math.log(unmatched)
+            run_start(
+                poses[s], starts[s], source, target, kind, world, bounds, relative_rmse, accelerated, bits,
+                ends[s], history[s],
+            )  # fmt: skip
 
     return search
 

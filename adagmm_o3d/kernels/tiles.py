@@ -24,9 +24,9 @@ class Tiles(NamedTuple):
     group_variance: Float32
     group_bits: Float32
 
-    def at(self, sigma: np.float32) -> Tiles:
-        """The same tiles with every variance times σ."""
-        return self._replace(variance=self.variance * sigma, group_variance=self.group_variance * sigma)
+    def at(self, sigma: np.float32) -> tuple[Float32, ...]:
+        """The same with every variance times σ."""
+        return tuple(self._replace(variance=self.variance * sigma, group_variance=self.group_variance * sigma))
 
 
 def make_tiles(points: Float32, variances: Float32, bits: Float32) -> Tiles:
@@ -46,10 +46,8 @@ def morton_order(points: NDArray[np.float64], last: NDArray[np.bool_]) -> NDArra
     """(n,) the order of (n, 3) points along a Z-curve; points marked `last` come after all others."""
     lo = points.min(axis=0)
     extent = float((points.max(axis=0) - lo).max()) or 1.0
-    cells = ((points - lo) * (1023.0 / extent)).astype(np.uint32)
-    code = np.zeros(len(points), np.uint32)
-    for axis in range(3):
-        code |= _spread_bits(cells[:, axis]) << np.uint32(axis)
+    cells = _spread_bits(((points - lo) * (1023.0 / extent)).astype(np.uint32))
+    code = cells[:, 0] | cells[:, 1] << np.uint32(1) | cells[:, 2] << np.uint32(2)
     code |= last.astype(np.uint32) << np.uint32(30)
     return np.argsort(code, kind="stable")
 

@@ -8,15 +8,21 @@ rotate_symmetric = formulas.rotate_symmetric
 
 
 @njit(**FLAGS)
-def turn_symmetric(pose, matrices, scale, isotropic, m, turned):
-    """R S Rᵀ of matrix m times `scale`, packed, into `turned`."""
+def turn_symmetric(pose, matrices, scale, isotropic, m, turned, k):
+    """R S Rᵀ of matrix m times `scale`, packed, into row k of `turned`."""
     if isotropic:
-        turned[:] = F0
-        turned[0] = matrices[0, m] * scale
-        turned[3] = turned[0]
-        turned[5] = turned[0]
+        value = matrices[0, m] * scale
+        turned[k, 0], turned[k, 1], turned[k, 2] = value, F0, F0
+        turned[k, 3], turned[k, 4], turned[k, 5] = value, F0, value
     else:
-        turned[0], turned[1], turned[2], turned[3], turned[4], turned[5] = rotate_symmetric(
+        (
+            turned[k, 0],
+            turned[k, 1],
+            turned[k, 2],
+            turned[k, 3],
+            turned[k, 4],
+            turned[k, 5],
+        ) = rotate_symmetric(
             pose,
             matrices[0, m] * scale,
             matrices[1, m] * scale,

@@ -1,0 +1,257 @@
+"""Loops over pairs weighed by convolved Gaussians, N(d; 0, Σx + R Σy Rᵀ): the density of x - y at zero.
+
+The pairs are those of the few source points of a cluster with a run i..j of the packed target. Each loop comes for full
+covariances, for those of the plane (z = 0) and for multiples of the identity. `moments` are what the M-step needs,
+`densities` is how dense each mixture is at the points of the other.
+"""
+
+import math
+
+from numba import njit
+
+from .compiling import F0, F1, FLAGS, formulas
+from .exp2 import exp2_float32, exp2_parts
+from .layout import DENSITY, ENERGY, PRECISION, PULL, WEIGHT
+
+dot = formulas.dot
+adjugate, symmetric_product = formulas.adjugate, formulas.symmetric_product
+
+# The rows of a packed target: coordinates, share of the mixture, factor of the weight, matrix at σ (1 or 6 rows).
+X, SHARE, FACTOR, MATRIX = 0, 3, 4, 5
+
+
+@njit(**FLAGS)
+def rows_of(target, i, j):
+    """Coordinates, share and factor of points i..j of a packed target. Loops over rows taken apart become vector code;
+    with two indices they would not."""
+    return target[X, i:j], target[X + 1, i:j], target[X + 2, i:j], target[SHARE, i:j], target[FACTOR, i:j]
+
+
+@njit(**FLAGS)
+def moments_full(target, i, j, y, turned, rows):
+    """Add to `rows` (points, layout.ROW_SUMS) the pairs of source points `y` (3, points) of matrices `turned`."""
+    x0, x1, x2, share, factor = rows_of(target, i, j)
+    a0, a1, a2 = target[MATRIX, i:j], target[MATRIX + 1, i:j], target[MATRIX + 2, i:j]
+    a3, a4, a5 = target[MATRIX + 3, i:j], target[MATRIX + 4, i:j], target[MATRIX + 5, i:j]
+    for k in range(rows.shape[0]):
+        y0, y1, y2 = y[0, k], y[1, k], y[2, k]
+        b0, b1, b2, b3, b4, b5 = turned[k, 0], turned[k, 1], turned[k, 2], turned[k, 3], turned[k, 4], turned[k, 5]
+        w = F0
+        e = F0
+        density = F0
+        p0 = F0
+        p1 = F0
+        p2 = F0
+        p3 = F0
+        p4 = F0
+        p5 = F0
+        u0 = F0
+        u1 = F0
+        u2 = F0
+        for n in range(x0.shape[0]):
+            dx = y0 - x0[n]
+            dy = y1 - x1[n]
+            dz = y2 - x2[n]
+            s0 = a0[n] + b0
+            s1 = a1[n] + b1
+            s2 = a2[n] + b2
+            c0, c1, c2, c3, c4, c5 = adjugate(s0, s1, s2, a3[n] + b3, a4[n] + b4, a5[n] + b5)
+            root = F1 / math.sqrt(dot(s0, s1, s2, c0, c1, c2))
+            inverse = root * root
+            vx, vy, vz = symmetric_product(c0, c1, c2, c3, c4, c5, dx, dy, dz)
+            q = dot(dx, dy, dz, vx, vy, vz) * inverse
+            fraction, whole = exp2_parts(-q)
+            g = fraction * (share[n] * root * whole)
+            density += g
+            c = g * factor[n]
+            f = g * (factor[n] * inverse)
+            w += c
+            e += c * q
+            p0 += f * c0
+            p1 += f * c1
+            p2 += f * c2
+            p3 += f * c3
+            p4 += f * c4
+            p5 += f * c5
+            u0 += f * vx
+            u1 += f * vy
+            u2 += f * vz
+        rows[k, WEIGHT] += w
+        rows[k, ENERGY] += e
+        rows[k, PRECISION] += p0
+        rows[k, PRECISION + 1] += p1
+        rows[k, PRECISION + 2] += p2
+        rows[k, PRECISION + 3] += p3
+        rows[k, PRECISION + 4] += p4
+        rows[k, PRECISION + 5] += p5
+        rows[k, PULL] += u0
+        rows[k, PULL + 1] += u1
+        rows[k, PULL + 2] += u2
+        rows[k, DENSITY] += density
+
+
+@njit(**FLAGS)
+def moments_planar(target, i, j, y, turned, rows):
+    """The same in the plane."""
+    x0, x1, _, share, factor = rows_of(target, i, j)
+    a0, a1, a3 = target[MATRIX, i:j], target[MATRIX + 1, i:j], target[MATRIX + 3, i:j]
+    for k in range(rows.shape[0]):
+        y0, y1 = y[0, k], y[1, k]
+        b0, b1, b3 = turned[k, 0], turned[k, 1], turned[k, 3]
+        w = F0
+        e = F0
+        density = F0
+        p0 = F0
+        p1 = F0
+        p3 = F0
+        u0 = F0
+        u1 = F0
+        for n in range(x0.shape[0]):
+            dx = y0 - x0[n]
+            dy = y1 - x1[n]
+            s0 = a0[n] + b0
+            s1 = a1[n] + b1
+            s3 = a3[n] + b3
+            root = F1 / math.sqrt(s0 * s3 - s1 * s1)
+            inverse = root * root
+            vx = s3 * dx - s1 * dy
+            vy = s0 * dy - s1 * dx
+            q = (dx * vx + dy * vy) * inverse
+            fraction, whole = exp2_parts(-q)
+            g = fraction * (share[n] * root * whole)
+            density += g
+            c = g * factor[n]
+            f = g * (factor[n] * inverse)
+            w += c
+            e += c * q
+            p0 += f * s3
+            p1 -= f * s1
+            p3 += f * s0
+            u0 += f * vx
+            u1 += f * vy
+        rows[k, WEIGHT] += w
+        rows[k, ENERGY] += e
+        rows[k, PRECISION] += p0
+        rows[k, PRECISION + 1] += p1
+        rows[k, PRECISION + 3] += p3
+        rows[k, PULL] += u0
+        rows[k, PULL + 1] += u1
+        rows[k, DENSITY] += density
+
+
+@njit(**FLAGS)
+def moments_isotropic(target, i, j, planar, y, turned, rows):
+    """The same where every covariance is a multiple of the identity."""
+    x0, x1, x2, share, factor = rows_of(target, i, j)
+    a = target[MATRIX, i:j]
+    for k in range(rows.shape[0]):
+        y0, y1, y2, b = y[0, k], y[1, k], y[2, k], turned[k, 0]
+        w = F0
+        e = F0
+        density = F0
+        p = F0
+        u0 = F0
+        u1 = F0
+        u2 = F0
+        for n in range(x0.shape[0]):
+            dx = y0 - x0[n]
+            dy = y1 - x1[n]
+            dz = y2 - x2[n]
+            root = F1 / math.sqrt(a[n] + b)
+            precision = root * root
+            q = precision * dot(dx, dy, dz, dx, dy, dz)
+            # |Σ|^(-1/2): the precision to the power D / 2.
+            fraction, whole = exp2_parts(-q)
+            g = fraction * (share[n] * precision * (F1 if planar else root) * whole)
+            density += g
+            c = g * factor[n]
+            f = g * (factor[n] * precision)
+            w += c
+            e += c * q
+            p += f
+            u0 += f * dx
+            u1 += f * dy
+            u2 += f * dz
+        rows[k, WEIGHT] += w
+        rows[k, ENERGY] += e
+        rows[k, PRECISION] += p
+        rows[k, PRECISION + 3] += p
+        rows[k, PRECISION + 5] += p
+        rows[k, PULL] += u0
+        rows[k, PULL + 1] += u1
+        rows[k, PULL + 2] += u2
+        rows[k, DENSITY] += density
+
+
+@njit(**FLAGS)
+def densities_full(target, i, j, own, y, turned, columns, rows):
+    """Add the target's density at source points `y` of weights `own` to `rows`, and theirs at its points to `columns`
+    (as long as the target), each times the weight of the target point."""
+    x0, x1, x2, share, _ = rows_of(target, i, j)
+    a0, a1, a2 = target[MATRIX, i:j], target[MATRIX + 1, i:j], target[MATRIX + 2, i:j]
+    a3, a4, a5 = target[MATRIX + 3, i:j], target[MATRIX + 4, i:j], target[MATRIX + 5, i:j]
+    column = columns[i:j]
+    for k in range(rows.shape[0]):
+        y0, y1, y2, weight = y[0, k], y[1, k], y[2, k], own[k]
+        b0, b1, b2, b3, b4, b5 = turned[k, 0], turned[k, 1], turned[k, 2], turned[k, 3], turned[k, 4], turned[k, 5]
+        density = F0
+        for n in range(x0.shape[0]):
+            dx = y0 - x0[n]
+            dy = y1 - x1[n]
+            dz = y2 - x2[n]
+            s0 = a0[n] + b0
+            s1 = a1[n] + b1
+            s2 = a2[n] + b2
+            c0, c1, c2, c3, c4, c5 = adjugate(s0, s1, s2, a3[n] + b3, a4[n] + b4, a5[n] + b5)
+            root = F1 / math.sqrt(dot(s0, s1, s2, c0, c1, c2))
+            vx, vy, vz = symmetric_product(c0, c1, c2, c3, c4, c5, dx, dy, dz)
+            q = dot(dx, dy, dz, vx, vy, vz) * (root * root)
+            g = share[n] * root * exp2_float32(-q)
+            density += g
+            column[n] += weight * g
+        rows[k, DENSITY] += density
+
+
+@njit(**FLAGS)
+def densities_planar(target, i, j, own, y, turned, columns, rows):
+    """The same in the plane."""
+    x0, x1, _, share, _ = rows_of(target, i, j)
+    a0, a1, a3 = target[MATRIX, i:j], target[MATRIX + 1, i:j], target[MATRIX + 3, i:j]
+    column = columns[i:j]
+    for k in range(rows.shape[0]):
+        y0, y1, weight = y[0, k], y[1, k], own[k]
+        b0, b1, b3 = turned[k, 0], turned[k, 1], turned[k, 3]
+        density = F0
+        for n in range(x0.shape[0]):
+            dx = y0 - x0[n]
+            dy = y1 - x1[n]
+            s0 = a0[n] + b0
+            s1 = a1[n] + b1
+            s3 = a3[n] + b3
+            root = F1 / math.sqrt(s0 * s3 - s1 * s1)
+            q = (dx * (s3 * dx - s1 * dy) + dy * (s0 * dy - s1 * dx)) * (root * root)
+            g = share[n] * root * exp2_float32(-q)
+            density += g
+            column[n] += weight * g
+        rows[k, DENSITY] += density
+
+
+@njit(**FLAGS)
+def densities_isotropic(target, i, j, planar, own, y, turned, columns, rows):
+    """The same where every covariance is a multiple of the identity."""
+    x0, x1, x2, share, _ = rows_of(target, i, j)
+    a, column = target[MATRIX, i:j], columns[i:j]
+    for k in range(rows.shape[0]):
+        y0, y1, y2, b, weight = y[0, k], y[1, k], y[2, k], turned[k, 0], own[k]
+        density = F0
+        for n in range(x0.shape[0]):
+            dx = y0 - x0[n]
+            dy = y1 - x1[n]
+            dz = y2 - x2[n]
+            root = F1 / math.sqrt(a[n] + b)
+            precision = root * root
+            q = precision * dot(dx, dy, dz, dx, dy, dz)
+            g = share[n] * precision * (F1 if planar else root) * exp2_float32(-q)
+            density += g
+            column[n] += weight * g
+        rows[k, DENSITY] += density

@@ -15,7 +15,7 @@ if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
 
     from adagmm_o3d.kernels import exp2
 
-    exp2._floor = np.floor
+    exp2._as_int32 = lambda value: np.float32(value).view(np.int32)
     exp2._as_float32 = lambda bits: np.int32(bits).view(np.float32)
 
 settings.register_profile("seeded", derandomize=True, deadline=None)

@@ -99,13 +99,9 @@ def check_posterior_sums(case, mutuality):
     np.testing.assert_allclose(sums.gradient[FREE[case.dimension]], expected.gradient, rtol=1e-5, atol=1e-6 * scale)
     np.testing.assert_allclose([sums.weight, sums.energy], [expected.weight, expected.energy], rtol=1e-6, atol=0)
     posterior = expected.densities / (expected.densities + uniform)
-    column_posterior = expected.column_densities / (expected.column_densities + uniform)
     np.testing.assert_allclose(sums.row_weights, posterior, rtol=2e-6, atol=1e-9)
     np.testing.assert_allclose(sums.column_densities, expected.column_densities, rtol=2e-6, atol=1e-9)
-    overlaps = [sums.overlap, sums.target_overlap]
-    np.testing.assert_allclose(overlaps, [posterior.mean(), column_posterior.mean()], rtol=1e-6, atol=0)
-    likelihood = np.log1p(expected.densities / uniform).mean() + np.log1p(expected.column_densities / uniform).mean()
-    np.testing.assert_allclose(sums.log_likelihood, likelihood, rtol=1e-6, atol=0)
+    np.testing.assert_allclose(sums.overlap, posterior.mean(), rtol=1e-6, atol=0)
 
 
 def check_nearest(case):
@@ -131,8 +127,6 @@ def check_against_the_cpu(case):
         sums, expected = (loop.posterior_sums(case.lifted, 0.2, 0.04, mutuality) for loop in (cuda, cpu))
         check_same(sums, expected)
         np.testing.assert_allclose(sums.column_densities, expected.column_densities, rtol=2e-6, atol=1e-9)
-        np.testing.assert_allclose(sums.log_likelihood, expected.log_likelihood, rtol=1e-6, atol=0)
-        np.testing.assert_allclose(sums.target_overlap, expected.target_overlap, rtol=1e-6, atol=0)
 
 
 def bits(case):

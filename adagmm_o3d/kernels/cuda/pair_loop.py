@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 from ...arguments import Array
 from ...mixture import Mixture
 from ..compiling import LOG2_SCALE
-from ..layout import GRADIENT, HESSIAN, TOTAL_ENERGY, TOTAL_LIKELIHOOD, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
+from ..layout import GRADIENT, HESSIAN, TOTAL_ENERGY, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
 from ..pair_loop import PairSums, PosteriorSums, symmetric, total_of
 from . import adaptive_rows, convolved_columns, convolved_rows, moving, nearest, reductions, scores
 from .front_end import TILE, cuda
 from .held import Held, Turn, upload
-from .reductions import COLUMN_LIKELIHOOD, COLUMN_MATCHED, COLUMN_SUMS
 from .sides import make_side
 from .tiles import tiled
 
@@ -74,37 +73,19 @@ class CudaPairSums(PairSums):
 
 
 class CudaPosteriorSums(PosteriorSums):
-    """`PosteriorSums` whose row_weights are read from the device, and what the target has to say is worked out there,
-    when they are asked for."""
+    """`PosteriorSums` whose row_weights are read from the device when they are asked for."""
 
-    def __init__(self, total: Array, rows: Held, find_columns: Callable[[], tuple[Held, Array]]) -> None:
+    def __init__(self, total: Array, rows: Held, find_columns: Callable[[], Held]) -> None:
         self.__dict__.update(
             _of_total(total),
             overlap=float(total[TOTAL_MATCHED]),
+            find_column_densities=lambda: find_columns().read(),
             _rows=rows,
-            _find_columns=find_columns,
-            _likelihood=float(total[TOTAL_LIKELIHOOD]),
         )
 
     @cached_property
     def row_weights(self) -> Array:  # type: ignore[override]
         return self.__dict__["_rows"].read()
-
-    @cached_property
-    def _columns(self) -> tuple[Held, Array]:
-        return self.__dict__["_find_columns"]()
-
-    @property
-    def column_densities(self) -> Array:  # type: ignore[override]
-        return self._columns[0].read()
-
-    @property
-    def log_likelihood(self) -> float:  # type: ignore[override]
-        return self.__dict__["_likelihood"] + float(self._columns[1][COLUMN_LIKELIHOOD])
-
-    @property
-    def target_overlap(self) -> float:  # type: ignore[override]
-        return float(self._columns[1][COLUMN_MATCHED])
 
 
 def _of_total(total: Array) -> dict[str, Any]:
@@ -137,8 +118,7 @@ class CudaPairLoop:
         self._rows = cuda.device_array((self._row_shares, adaptive_rows.ROWS, m), np.float64)
         self._column_parts = cuda.device_array((self._column_shares, n), np.float64)
         self._row_partials = cuda.device_array((TOTAL_SUMS, self._source_tiles), np.float64)
-        self._column_partials = cuda.device_array((COLUMN_SUMS, self._target_tiles), np.float64)
-        self._totals = cuda.device_array(TOTAL_SUMS + COLUMN_SUMS, np.float64)
+        self._totals = cuda.device_array(TOTAL_SUMS, np.float64)
         self._densities32 = cuda.device_array((self._target_tiles, TILE), np.float32)
         self._row_turn = Turn(m, self._source.restore, len(source))
         self._column_turn = Turn(n, self._target.restore, len(target))
@@ -152,7 +132,7 @@ class CudaPairLoop:
         self._kernels.reduce_adaptive[self._source_tiles, TILE](
             self._moved, self._rows, amplitudes, weights.buffer, self._row_partials
         )
-        return CudaPairSums(self._add_up(TOTAL_SUMS)[:TOTAL_SUMS], weights)
+        return CudaPairSums(self._add_up(), weights)
 
     def posterior_sums(self, pose: Array, sigma: float, uniform: float, mutuality: float = 0.0) -> CudaPosteriorSums:
         """As `PairLoop.posterior_sums`.
@@ -160,9 +140,9 @@ class CudaPairLoop:
         The target's densities take a pass over all pairs of their own, before that for the source where mutuality needs
         them, else when somebody asks.
         """
-        source, _, source_weights, _ = self._covariances
+        source, _, source_weights = self._covariances
         self._move(pose, np.float32(sigma), self._flat, source)
-        columns = self._reduced_columns(sigma, uniform) if mutuality > 0.0 else None
+        columns = self._reduced_columns(sigma) if mutuality > 0.0 else None
         self.launch_convolved_rows(sigma, uniform, mutuality)
         posteriors = self._row_turn.take()
         reductions.reduce_convolved[self._source_tiles, TILE](
@@ -174,30 +154,21 @@ class CudaPairLoop:
             posteriors.buffer,
             self._row_partials,
         )
-        totals = self._add_up(TOTAL_SUMS if columns is None else TOTAL_SUMS + COLUMN_SUMS)
 
-        def find_columns() -> tuple[Held, Array]:
+        def find_columns() -> Held:
             if columns is not None:
-                return columns, totals[TOTAL_SUMS:]
+                return columns
             self._move(pose, np.float32(sigma), self._flat, source)
-            found = self._reduced_columns(sigma, uniform)
-            reductions.total[COLUMN_SUMS, reductions.ADDERS](self._column_partials, self._column_partials, self._totals)
-            return found, self._totals.copy_to_host()[:COLUMN_SUMS]
+            return self._reduced_columns(sigma)
 
-        return CudaPosteriorSums(totals[:TOTAL_SUMS], posteriors, find_columns)
+        return CudaPosteriorSums(self._add_up(), posteriors, find_columns)
 
-    def _reduced_columns(self, sigma: float, uniform: float) -> Held:
-        """The column densities, with the source where it was last moved to, and their sums tile by tile."""
+    def _reduced_columns(self, sigma: float) -> Held:
+        """The column densities, with the source where it was last moved to."""
         self.launch_convolved_columns(sigma)
         columns = self._column_turn.take()
         reductions.reduce_columns[self._target_tiles, TILE](
-            self._column_parts,
-            self._unit,
-            self._covariances[3],
-            float(uniform),
-            columns.buffer,
-            self._densities32,
-            self._column_partials,
+            self._column_parts, self._unit, columns.buffer, self._densities32
         )
         return columns
 
@@ -227,7 +198,7 @@ class CudaPairLoop:
         own : (POINT, K) points of the source at `pose`, or of the target, see `scores`.   weights, shares : (n,) of all
         points of the other side, see there.
         """
-        source, target, _, _ = self._covariances
+        source, target, _ = self._covariances
         if own_is_source:
             kernel, other, side = self._kernels.scores_of_source, target, self._target
             other_boxes, scale = self._target_boxes, sigma * LOG2_SCALE
@@ -291,7 +262,7 @@ class CudaPairLoop:
     def work_arrays(self) -> list[Any]:
         """Every array on the device that a pass fills before it reads it; a check may spoil them beforehand."""
         arrays = [self._moved, self._moved_boxes, self._rows, self._column_parts, self._row_partials]
-        arrays += [self._column_partials, self._densities32, self._totals, self._nearest_parts, self._nearest]
+        arrays += [self._densities32, self._totals, self._nearest_parts, self._nearest]
         return arrays + self._row_turn.arrays() + self._column_turn.arrays()
 
     @cached_property
@@ -301,10 +272,9 @@ class CudaPairLoop:
         return source.precision_tiles(), target.precision_tiles(), source.amplitude_tiles()
 
     @cached_property
-    def _covariances(self) -> tuple[Any, Any, Any, Any]:
-        """Tiles of source and target with their covariances, and the weights of either."""
-        source, target = self._source, self._target
-        return source.covariance_tiles(), target.covariance_tiles(), source.weight_tiles(), target.weight_tiles()
+    def _covariances(self) -> tuple[Any, Any, Any]:
+        """Tiles of source and target with their covariances, and the source's weights."""
+        return self._source.covariance_tiles(), self._target.covariance_tiles(), self._source.weight_tiles()
 
     @cached_property
     def _nearest_parts(self) -> Any:
@@ -320,8 +290,8 @@ class CudaPairLoop:
             rows, scale, flat, source, self._source_boxes, self._moved, self._moved_boxes
         )
 
-    def _add_up(self, sums: int) -> Array:
-        reductions.total[sums, reductions.ADDERS](self._row_partials, self._column_partials, self._totals)
+    def _add_up(self) -> Array:
+        reductions.total[TOTAL_SUMS, reductions.ADDERS](self._row_partials, self._totals)
         return self._totals.copy_to_host()
 
 

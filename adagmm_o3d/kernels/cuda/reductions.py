@@ -3,8 +3,6 @@
 The shares of the other cloud are added up for each point, the points of a tile by one block, the tiles by `total`.
 """
 
-import math
-
 from numba import float64
 
 from ..layout import (
@@ -13,7 +11,6 @@ from ..layout import (
     PRECISION,
     PULL,
     TOTAL_ENERGY,
-    TOTAL_LIKELIHOOD,
     TOTAL_MATCHED,
     TOTAL_SUMS,
     TOTAL_WEIGHT,
@@ -30,9 +27,6 @@ normal_equations = exact_formulas.normal_equations
 
 # Threads that add up the tiles of one sum.
 ADDERS = 4 * TILE
-# Sums over the target's tiles: of the likelihood, and of the probability to have a partner.
-COLUMN_LIKELIHOOD, COLUMN_MATCHED = 0, 1
-COLUMN_SUMS = 2
 # One column more than needed spreads a column over the banks of the shared memory.
 PADDED = TILE + 1
 
@@ -168,7 +162,6 @@ def _build_adaptive(isotropic, stamp):
         store_normal_equations(sums, t, terms)
         sums[TOTAL_WEIGHT, t] = w
         sums[TOTAL_ENERGY, t] = amplitude * s[ENERGY]
-        sums[TOTAL_LIKELIHOOD, t] = 0.0
         sums[TOTAL_MATCHED, t] = 0.0
         row_weights[m] = w
         cuda.syncthreads()
@@ -215,7 +208,6 @@ def _build_convolved(stamp):
         store_normal_equations(sums, t, terms)
         sums[TOTAL_WEIGHT, t] = scale * s[WEIGHT]
         sums[TOTAL_ENERGY, t] = scale * s[ENERGY]
-        sums[TOTAL_LIKELIHOOD, t] = weight * math.log1p(density / uniform)
         sums[TOTAL_MATCHED, t] = weight * density * posterior
         posteriors[m] = density * posterior
         cuda.syncthreads()
@@ -226,15 +218,13 @@ def _build_convolved(stamp):
 
 def _build_columns(stamp):
     @kernel
-    def reduce_columns(parts, unit, weights, uniform, densities, densities32, partials):
-        """One block for each target tile; see `convolved_columns`.
+    def reduce_columns(parts, unit, densities, densities32):
+        """One thread for each target point; see `convolved_columns`.
 
-        unit : what a density is divided by to leave the kernels' powers of two; `uniform` has left them.
-        weights (tiles, TILE), densities (tiles x TILE,) and partials (COLUMN_SUMS, tiles) float64, densities32 (tiles,
-        TILE) float32, in the units of the rows, for the next pass; the latter three are overwritten.
+        unit : what a density is divided by to leave the kernels' powers of two.   densities : (tiles x TILE,) float64;
+        densities32 (tiles, TILE) float32 for the next pass; both are overwritten.
         """
         _ = stamp
-        sums = cuda.shared.array((COLUMN_SUMS, PADDED), float64)
         tile = cuda.blockIdx.x
         t = cuda.threadIdx.x
         m = tile * TILE + t
@@ -244,10 +234,6 @@ def _build_columns(stamp):
         density /= unit
         densities[m] = density
         densities32[tile, t] = density
-        sums[COLUMN_LIKELIHOOD, t] = weights[tile, t] * math.log1p(density / uniform)
-        sums[COLUMN_MATCHED, t] = weights[tile, t] * density / (density + uniform)
-        cuda.syncthreads()
-        reduce_tile(sums, COLUMN_SUMS, t, tile, partials)
 
     return reduce_columns
 
@@ -268,19 +254,15 @@ def _build_nearest(stamp):
 
 def _build_total(stamp):
     @kernel
-    def total(row_partials, column_partials, totals):
-        """One block for each sum: those of the source's tiles, then those of the target's, into `totals` (blocks,)."""
+    def total(partials, totals):
+        """One block for each sum over the source's tiles, into `totals` (TOTAL_SUMS,)."""
         _ = stamp
         sums = cuda.shared.array(ADDERS, float64)
         i = cuda.blockIdx.x
         t = cuda.threadIdx.x
         s = 0.0
-        if i < TOTAL_SUMS:
-            for tile in range(t, row_partials.shape[1], ADDERS):
-                s += row_partials[i, tile]
-        else:
-            for tile in range(t, column_partials.shape[1], ADDERS):
-                s += column_partials[i - TOTAL_SUMS, tile]
+        for tile in range(t, partials.shape[1], ADDERS):
+            s += partials[i, tile]
         sums[t] = s
         width = ADDERS // 2
         while width > 0:

@@ -9,22 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from .arguments import Array
+from .criteria import Criteria
 from .expectation import Expectation
 from .m_step import solve_step
 from .result import StopReason
 from .trace import Iteration
-
-
-@dataclass(frozen=True)
-class Criteria:
-    """When an EM iteration has changed nothing worth another one; the words and numbers are Open3D's.
-
-    The residual is flat at its minimum: a step of ε standard deviations changes it by about ε². So a pose has settled
-    when a step is below √relative_rmse standard deviations of the mixtures. max_iteration bounds the EM iterations.
-    """
-
-    relative_rmse: float
-    max_iteration: int
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
-
-import numba
+import sys
 
 
 def keep_working_after_fork() -> None:
@@ -19,6 +18,9 @@ def keep_working_after_fork() -> None:
 
 
 def _one_thread() -> None:
+    numba = sys.modules.get("numba")
+    if numba is None:  # no registration yet
+        return
     try:
         layer = numba.threading_layer()
     except ValueError:  # no kernel has run yet: the child starts threads of its own

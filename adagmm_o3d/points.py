@@ -2,44 +2,15 @@
 
 from __future__ import annotations
 
-import math
-from collections import Counter
 from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from . import starts
-from .arguments import Array
-from .cascade import Cascade
-from .conclusion import conclude, lower
-from .em import Criteria, expectation_maximisation
 from .errors import InputError
-from .expectation import CLOSE_VOLUME, OPEN_VOLUME, AdaptiveExpectation
-from .global_search import is_ambiguous, search_globally
-from .kernels.backend import check_device, make_pair_loop, mixture_maker
-from .lie import project_to_rotation, split
-from .mixture import Mixture, Normalisation, normalise
-from .options import TransformationEstimationForAdaptiveGMM
-from .pose_covariance import uncertainty_out
-from .refinement import refine
-from .result import PointRegistrationResult, PoseUncertainty, StopReason
+from .kernels.backend import check_device, mixture_maker
+from .result import PointRegistrationResult
 from .settings import check_callback, check_criteria, check_estimation_method
-from .sigma_rules import Annealed, FigureTwo, NearestDistance, SigmaRule
-from .start_search import End, pose_distance
-from .trace import Iteration
-
-# A pose handed over by another program has float32 digits.
-INIT_TOLERANCE = 1e-4
-# A given start is believed when this share of the source has a partner where it leads.
-PLAUSIBLE = 0.1
-# Starts that differ by less than this, in radii, lead to the same end: σ = 0.3 does not tell them apart.
-SAME_START = 0.1
-# The paper's wide mixtures converge slowly: their steps are short long before the end.
-SLOW = 0.01
 
 Observer = Callable[[dict[str, Any]], None]
 
@@ -68,7 +39,7 @@ def register_points(
         to a plausible overlap: the search stays near it. The identity, or None, leaves the choice between the identity
         and common centroids, with starts around, to the likelihood. "global" searches all rotations.
     estimation_method : the options; None, or one of Open3D's own, for the defaults.
-    criteria : Open3D's ICPConvergenceCriteria; `relative_rmse` bounds the last step (see `em.Criteria`),
+    criteria : Open3D's ICPConvergenceCriteria; `relative_rmse` bounds the last step (see `criteria.Criteria`),
         `max_iteration` the EM iterations on all points (the levels before have a few dozen). None for 1e-3 and 200.
     device : "cpu", "cuda", or "auto": a GPU where there is one and enough to do. The coarse levels stay on the CPU.
     callback_after_iteration : called after each EM iteration with a dictionary, see `registration_adaptive_gmm`.
@@ -96,155 +67,7 @@ def register_points(
         raise InputError(
             f"target.points: expected shape (n, {moving.dimension}) as the source has, got (n, {fixed.dimension})"
         )
+    # Compiled kernels come with Numba, whose import takes as long as a registration: only with the first.
+    from .mixture_registration import register_mixtures
+
     return register_mixtures(moving, fixed, init, method, limits, device, callback)
-
-
-def register_mixtures(
-    moving: Mixture,
-    fixed: Mixture,
-    init: ArrayLike | str | None,
-    method: TransformationEstimationForAdaptiveGMM,
-    limits: Criteria,
-    device: str,
-    callback: Observer | None,
-) -> PointRegistrationResult:
-    """Register the mixtures as they came through the door, wherever they lie; see `register_points`."""
-    dimension = moving.dimension
-    moving, fixed, normalisation = normalise(moving, fixed)
-    observe = _observer(callback, normalisation, dimension)
-    if isinstance(init, str) and init != "global":
-        raise InputError(f"init: expected a pose or 'global', got {init!r}")
-    everywhere = isinstance(init, str)
-    given = None if init is None or everywhere else _start_pose(init, normalisation, dimension)
-    ambiguous, assess = False, _unknown
-    if method.sigma_rule == "posterior":
-        cascade, ends = _find(moving, fixed, method, given, everywhere, normalisation)
-        best, ambiguous = ends[0], everywhere and is_ambiguous(ends)
-        if observe is not None:
-            for iteration in best.iterations:
-                observe(iteration)
-        start, volume = best.start, cascade.volume
-        refined = refine(
-            cascade,
-            best,
-            limits,
-            device=device,
-            mutuality=_mutuality(method, cascade),
-            relaxation=method.relaxation,
-            observe=observe,
-        )
-        outcome, pairs = refined.outcome, refined.pairs
-        if outcome.stop_reason is not StopReason.NO_OVERLAP:
-            assess = partial(uncertainty_out, pairs, refined.source, refined.target, refined.fit, normalisation)
-        if refined.source is not moving:
-            # What is said of each point is said of all of them.
-            pairs = make_pair_loop(moving, refined.target, device)
-    else:
-        if everywhere:
-            raise InputError(f"init: 'global' needs sigma_rule 'posterior', got {method.sigma_rule!r}")
-        identity = normalisation.pose_in(np.eye(4))
-        start = given if given is not None else identity if method.start == "init" else np.eye(4)
-        volume, pairs = OPEN_VOLUME[dimension], make_pair_loop(moving, fixed, device)
-        limits = replace(limits, relative_rmse=SLOW * limits.relative_rmse)
-        expectation = AdaptiveExpectation(pairs, _sigma_rule(method, dimension), start)
-        outcome = expectation_maximisation(
-            expectation, start, limits, dimension, relaxation=method.relaxation, observe=observe
-        )
-    return conclude(
-        start,
-        outcome,
-        normalisation,
-        moving,
-        fixed,
-        pairs,
-        volume=volume,
-        ambiguous=ambiguous,
-        assess=assess,
-    )
-
-
-def _find(
-    source: Mixture,
-    target: Mixture,
-    method: TransformationEstimationForAdaptiveGMM,
-    given: Array | None,
-    everywhere: bool,
-    normalisation: Normalisation,
-) -> tuple[Cascade, list[End]]:
-    """The ends on the deciding level, the one to refine first, and the cascade that found them."""
-    dimension = source.dimension
-    centroids, identity = np.eye(4), normalisation.pose_in(np.eye(4))
-    cascade = Cascade(source, target, OPEN_VOLUME[dimension])
-    if everywhere:
-        return cascade, search_globally(source, target, volume=cascade.volume)
-    if given is not None and not np.allclose(given, identity):
-        near = Cascade(source, target, CLOSE_VOLUME[dimension])
-        best = max(near.run_deciding(starts.near(given)), key=lambda end: end.log_likelihood)
-        if best.iterations[-1].matched >= PLAUSIBLE:
-            return near, [best]
-        bases = [given]
-    else:
-        bases = {"auto": [centroids, identity], "centroids": [centroids], "init": [identity]}[method.start]
-        if pose_distance(bases[0], bases[-1]) < SAME_START:
-            bases = bases[:1]
-    trusted = cascade.register_trusted([starts.wide(base) for base in bases])
-    if not method.search or cascade.is_tight(trusted[1]):
-        return cascade, [trusted[1]]
-    others = [*starts.around(bases[0], dimension), *(starts.narrow(base) for base in bases[1:])]
-    return cascade, cascade.search(others, trusted)
-
-
-def _unknown() -> PoseUncertainty:
-    """Of a pose that the paper's own rules found, or that no pair speaks for."""
-    return PoseUncertainty(None, ())
-
-
-def _mutuality(method: TransformationEstimationForAdaptiveGMM, cascade: Cascade) -> float:
-    if method.mutuality is not None:
-        return method.mutuality
-    return 0.0 if cascade.small else 0.5
-
-
-def _start_pose(init: ArrayLike, normalisation: Normalisation, dimension: int) -> Array:
-    """(4, 4) `init` between the normalised clouds."""
-    rotation, translation = split(init, name="init", tolerance=INIT_TOLERANCE)
-    if len(translation) != dimension:
-        raise InputError(f"init: expected shape ({dimension + 1}, {dimension + 1}), got {np.shape(init)}")
-    pose = np.eye(4)
-    pose[:dimension, :dimension] = project_to_rotation(rotation)
-    pose[:dimension, 3] = translation
-    return normalisation.pose_in(pose)
-
-
-def _sigma_rule(method: TransformationEstimationForAdaptiveGMM, dimension: int) -> SigmaRule:
-    rules: dict[str, SigmaRule] = {
-        "annealed": Annealed(dimension),
-        "nearest": NearestDistance(dimension),
-        "figure2": FigureTwo(),
-    }
-    return rules[method.sigma_rule]
-
-
-def _observer(
-    callback: Observer | None, normalisation: Normalisation, dimension: int
-) -> Callable[[Iteration], None] | None:
-    if callback is None:
-        return None
-    indices = Counter[int]()
-
-    def observe(iteration: Iteration) -> None:
-        callback(
-            {
-                "iteration_index": indices.total(),
-                "scale_index": iteration.level,
-                "scale_iteration_index": indices[iteration.level],
-                "inlier_rmse": math.sqrt(iteration.energy * iteration.sigma) * normalisation.scale,
-                "fitness": iteration.matched,
-                "transformation": lower(normalisation.pose_out(iteration.pose), dimension),
-                "sigma": normalisation.sigma_out(iteration.sigma),
-                "energy": iteration.energy,
-            }
-        )
-        indices[iteration.level] += 1
-
-    return observe

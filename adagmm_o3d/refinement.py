@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 from .cascade import SMALL, Cascade
 from .condensing import condense
-from .em import Criteria, Outcome, expectation_maximisation
+from .criteria import Criteria
+from .em import Outcome, expectation_maximisation
 from .expectation import FASTEST, FINEST_SIGMA, LEAST_UNMATCHED, SIGMA_FLOOR, PosteriorExpectation
 from .kernels.backend import make_pair_loop
 from .kernels.pair_loop import CUT_BITS

@@ -8,7 +8,7 @@ from typing import Any
 
 import open3d as o3d
 
-from .em import Criteria
+from .criteria import Criteria
 from .errors import InputError, InputTypeError
 from .options import DEFAULT_MAX_ITERATION, DEFAULT_RELATIVE_RMSE, TransformationEstimationForAdaptiveGMM
 

@@ -37,8 +37,8 @@ class Limits:
     """How far EM goes on a level.
 
     floor : least σ.   least_unmatched : least share of points without a partner.   relative_rmse : as in
-    `em.Criteria`.   accelerated : whether steps are extrapolated. A long step may end in another optimum than the one
-    that its start leads to, so not where ends are still compared.   bits : pairs are left out where their weight is
+    `criteria.Criteria`.   accelerated : whether steps are extrapolated. A long step may end in another optimum than the
+    one that its start leads to, so not where ends are still compared.   bits : pairs are left out where their weight is
     below 2**-bits of what it would be without a distance between them.
     """
 

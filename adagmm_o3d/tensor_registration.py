@@ -16,7 +16,7 @@ from .errors import InputError, InputTypeError
 from .kernels.backend import check_device
 from .kernels.cuda.availability import obstacle
 from .options import TransformationEstimationForAdaptiveGMM
-from .points import register_mixtures, register_points
+from .points import register_points
 from .result import PointRegistrationResult, PoseUncertainty
 from .settings import check_criteria
 from .uncertainty import estimate_surface_covariances
@@ -107,6 +107,7 @@ def _register_in_place(
     """On the device that the clouds are on, without their points leaving it."""
     from .kernels.cuda.cloud import device_mixture
     from .kernels.cuda.tensors import current_device, on_the_device
+    from .mixture_registration import register_mixtures
 
     limits = check_criteria(criteria)
     here = current_device(source.point.positions)

@@ -101,10 +101,11 @@ def test_the_closest_tile_is_the_one_with_the_smallest_gap():
 
 
 def test_a_pair_of_equals_reaches_as_far_as_its_weight_lives():
-    # The paper's weight is the sum of both exp2(-d²/a), and each falls to 2^-bits at d² = a bits; exp2(-d²/(a + b)),
-    # which `reach` is about, at (a + b) bits.
-    assert reach_sq(2.0, 20.0, 3.0, 10.0) == 40.0
-    assert reach_sq(2.0, 10.0, 3.0, 20.0) == 60.0
+    # exp2(-d²/(a + b)) falls to 2^-bits at d² = (a + b) bits; the paper's weight is the sum of both exp2(-d²/a).
+    assert reach_sq(True, 2.0, 20.0, 3.0, 10.0) == 50.0
+    assert reach_sq(True, 2.0, 10.0, 3.0, 20.0) == 50.0
+    assert reach_sq(False, 2.0, 20.0, 3.0, 10.0) == 40.0
+    assert reach_sq(False, 2.0, 10.0, 3.0, 20.0) == 60.0
 
 
 def test_the_first_tile_behind_a_group_left_out_is_not():

@@ -10,7 +10,8 @@ from mixtures import random_points_and_covariances, random_pose
 from shapes import bumpy, move, turn
 
 from adagmm_o3d import pose_covariance
-from adagmm_o3d.em import Criteria, expectation_maximisation
+from adagmm_o3d.criteria import Criteria
+from adagmm_o3d.em import expectation_maximisation
 from adagmm_o3d.expectation import OPEN_VOLUME, PosteriorExpectation, uniform_density
 from adagmm_o3d.kernels.pair_loop import PairLoop
 from adagmm_o3d.lie import se_exp, se_log

@@ -201,7 +201,7 @@ def test_ctrl_c_ends_a_long_registration():
 def test_an_import_brings_in_nothing_that_is_not_needed():
     code = """
     import sys, time
-    import open3d, numba
+    import open3d
     before, start = set(sys.modules), time.perf_counter()
     import adagmm_o3d
     seconds = time.perf_counter() - start
@@ -217,7 +217,7 @@ def test_an_import_brings_in_nothing_that_is_not_needed():
         check=True,
     )
     modules = process.stdout.split()
-    print("import of adagmm_o3d after open3d and numba:", process.stderr.strip())
+    print("import of adagmm_o3d after open3d:", process.stderr.strip())
     assert "adagmm_o3d.points" in modules
-    unwanted = ("rerun", "cv2", "scipy", "matplotlib", "yaml", "rich", "numba.cuda", "numba_cuda", "hypothesis")
+    unwanted = ("rerun", "cv2", "scipy", "matplotlib", "yaml", "rich", "numba", "llvmlite", "hypothesis")
     assert not [m for m in modules if m.startswith(unwanted)]

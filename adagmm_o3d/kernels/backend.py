@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike
 from ..errors import DeviceError
 from ..mixture import Mixture, make_mixture
 from .cuda.availability import device_name, obstacle
-from .pair_loop import PairLoop
 
 if TYPE_CHECKING:
     from .cuda.pair_loop import CudaPairLoop
+    from .pair_loop import PairLoop
 
 DEVICES = ("auto", "cpu", "cuda")
 # From so many pairs on a pass is faster on a GPU: below, the time to launch its kernels, some tenths of a millisecond,
@@ -42,6 +42,8 @@ def make_pair_loop(source: Mixture, target: Mixture, device: str) -> PairLoop | 
         from .cuda.pair_loop import CudaPairLoop
 
         return CudaPairLoop(source, target)
+    from .pair_loop import PairLoop
+
     return PairLoop(source, target)
 
 

@@ -31,14 +31,20 @@ def gap_sq(lo, hi, box_lo, box_hi, i):
     return gap
 
 
-@njit(**FLAGS)
-def reach_sq(variance, bits, other_variance, other_bits):
-    """Squared distance beyond which no pair of two groups of points weighs anything, for the paper's weights.
+# The larger of two is vector code only where NaN is ruled out; points are finite.
+REACH_FLAGS = {**FLAGS, "fastmath": FAST | {"nnan"}}
+
+
+@njit(**REACH_FLAGS)
+def reach_sq(convolved, variance, bits, other_variance, other_bits):
+    """Squared distance beyond which no pair of two groups of points weighs anything.
 
     `variance` is the largest principal variance in a group (times σ), `bits` the powers of two by which a weight may
     fall before it is lost, fewer for vague points. The paper's weight lives as long as either point's own Gaussian
-    does; a convolved one, see `reach`, has the sum of the variances and at most the amplitude of the vaguer point.
+    does; a convolved one has the sum of the variances and at most the amplitude of the vaguer point.
     """
+    if convolved:
+        return (variance + other_variance) * min(bits, other_bits)
     return max(variance * bits, other_variance * other_bits)
 
 
@@ -56,11 +62,11 @@ def next_run(tile, box, sigma, tiles, n):
     while tile < count:
         if first < 0 and tile % GROUP == 0:
             g = tile // GROUP
-            limit = reach_sq(variance, bits, sigma * group_variance[g], group_bits[g])
+            limit = reach_sq(False, variance, bits, sigma * group_variance[g], group_bits[g])
             if gap_sq(lo, hi, group_lo, group_hi, g) >= limit:
                 tile += GROUP
                 continue
-        limit = reach_sq(variance, bits, sigma * tile_variance[tile], tile_bits[tile])
+        limit = reach_sq(False, variance, bits, sigma * tile_variance[tile], tile_bits[tile])
         if gap_sq(lo, hi, tile_lo, tile_hi, tile) >= limit:
             if first >= 0:
                 break
@@ -74,10 +80,6 @@ def next_run(tile, box, sigma, tiles, n):
     return first, min(n, tile * TILE), tile
 
 
-# The larger of two is vector code only where NaN is ruled out; points are finite.
-REACH_FLAGS = {**FLAGS, "fastmath": FAST | {"nnan"}}
-
-
 @njit(**REACH_FLAGS)
 def reach(i, j, lo, hi, variance, bits, other_lo, other_hi, other_variances, other_bits, beyond):
     """How many of the boxes i..j a source cluster can reach, for convolved weights: those whose `beyond` is negative.
@@ -86,13 +88,15 @@ def reach(i, j, lo, hi, variance, bits, other_lo, other_hi, other_variances, oth
     """
     l0, l1, l2, h0, h1, h2 = lo[0], lo[1], lo[2], hi[0], hi[1], hi[2]
     hits = 0
-    for n in range(i, j):
+    # An unsigned index cannot count from the end, which would keep neighbours from being loaded as a vector.
+    first = np.uint64(i)
+    for n in range(first, np.uint64(j)):
         d0 = max(max(other_lo[0, n] - h0, l0 - other_hi[0, n]), F0)
         d1 = max(max(other_lo[1, n] - h1, l1 - other_hi[1, n]), F0)
         d2 = max(max(other_lo[2, n] - h2, l2 - other_hi[2, n]), F0)
-        limit = (variance + other_variances[n]) * min(bits, other_bits[n])
-        beyond[n - i] = d0 * d0 + d1 * d1 + d2 * d2 - limit
-        hits += beyond[n - i] < F0
+        limit = reach_sq(True, variance, bits, other_variances[n], other_bits[n])
+        beyond[n - first] = d0 * d0 + d1 * d1 + d2 * d2 - limit
+        hits += beyond[n - first] < F0
     return hits
 
 

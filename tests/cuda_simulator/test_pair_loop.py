@@ -14,7 +14,8 @@ from cuda_cases import (
     spoil,
 )
 
-from adagmm_o3d.em import Criteria, expectation_maximisation
+from adagmm_o3d.criteria import Criteria
+from adagmm_o3d.em import expectation_maximisation
 from adagmm_o3d.expectation import AdaptiveExpectation, PosteriorExpectation
 from adagmm_o3d.kernels.cuda import adaptive_rows, pair_loop
 from adagmm_o3d.kernels.cuda.front_end import TILE

@@ -1,11 +1,9 @@
-"""Whether the CUDA kernels can run here, and if not, why; asking imports `numba.cuda` only where it is usable."""
+"""Whether the CUDA kernels can run here, and if not, why. Asking imports Numba, and `numba.cuda` where it is usable."""
 
 from __future__ import annotations
 
 import importlib.util
 from functools import cache
-
-from numba.core import config
 
 # What the kernels are tested to compile for, from here on.
 LEAST_CAPABILITY = (7, 5)
@@ -51,6 +49,8 @@ def missing_front_end() -> str | None:
 
 def simulated() -> bool:
     """Whether Numba's CUDA simulator stands in for a GPU (NUMBA_ENABLE_CUDASIM=1 before Numba is imported)."""
+    from numba.core import config
+
     return bool(config.ENABLE_CUDASIM)
 
 

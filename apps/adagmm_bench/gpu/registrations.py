@@ -14,7 +14,7 @@ from adagmm_o3d import PointRegistrationResult, TransformationEstimationForAdapt
 from adagmm_o3d.evaluation import rotation_error_deg
 from adagmm_o3d.kernels.pair_loop import PairLoop
 from adagmm_o3d.mixture import make_mixture, normalise
-from adagmm_o3d.points import register_mixtures
+from adagmm_o3d.mixture_registration import register_mixtures
 from adagmm_o3d.settings import check_criteria
 
 SIZES = (1_000, 4_000, 30_000, 300_000)

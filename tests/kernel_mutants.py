@@ -182,7 +182,6 @@ CPU = {
         ("if hits > 0", "if hits > 1"),
         ("near_columns[n] = F0", "pass"),
         ("columns[index[k]] += near_columns[k]", "columns[index[k]] = near_columns[k]"),
-        ("columns[index[k]] += near_columns[k]\n                count = ZERO", "columns[index[k]] += near_columns[k]"),
         ("densities[m] = density", "densities[m] = uniform"),
         ("posterior = 1.0 / (density + uniform)", "posterior = 1.0 / density"),
         ("weights[m] * density * posterior", "density * posterior"),

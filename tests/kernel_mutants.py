@@ -10,11 +10,12 @@ KERNELS = [
     f"test_culling or (naive and ({SIZES})) or far_tiles or gathered or filled or exp2 or component",
 ]
 CONVOLVED = [
+    "tests/test_culling.py",
     "tests/test_kernels.py",
     "tests/test_search_kernel.py",
     "-k",
-    f"(posterior_sums and ({SIZES})) or filled or gathered or groups or variances_of_both or first_of_far"
-    " or step_on_the_naive",
+    f"in_reach or out_of_reach or (posterior_sums and ({SIZES})) or filled or gathered or groups"
+    " or variances_of_both or first_of_far or step_on_the_naive",
 ]
 NEAREST = ["tests/test_kernels.py", "-k", "nearest and not 500-2000"]
 CULLING = ["tests/test_culling.py", *KERNELS]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from adagmm_o3d.kernels import culling
+from adagmm_o3d.kernels.convolved_pass import points_in_reach
 from adagmm_o3d.kernels.culling import GROUP, RUN, TILE, closest_tile, next_run, reach, reach_sq
 from adagmm_o3d.kernels.tiles import make_tiles, morton_order
 
@@ -63,6 +64,25 @@ def test_what_is_in_reach(kind, vague):
             assert hits == expected[first:last].sum()
             counts.append(hits)
     assert vague == 1e-1 or min(counts) < np.mean(counts) < max(counts)
+
+
+@pytest.mark.parametrize("vague", [1e-4, 1e-2, 1e-1])
+def test_the_points_in_reach_are_put_behind_those_before(vague):
+    scene, before = Scene(1, vague), np.array([7, 8, 9])
+    tiles, chosen = np.arange(1, scene.tiles.lo.shape[1]), 0
+    for box in scene.boxes:
+        expected = reached(box, scene.x, scene.x, scene.variances, scene.bits, True)
+        beyond = np.where(tiles % 3 == 0, 1.0, -1.0).astype(np.float32)
+        expected[np.isin(np.arange(COUNT) // TILE, tiles[beyond < 0.0], invert=True)] = False
+        index = np.full(3 + len(tiles) * TILE + 1, -1, np.int32)
+        index[:3] = before
+        count = points_in_reach(
+            tiles[0], tiles[-1] + 1, *box, scene.x, scene.variances, scene.bits, beyond, np.empty(TILE, np.float32),
+            index, 3,
+        )  # fmt: skip
+        np.testing.assert_array_equal(index[:count], [*before, *np.flatnonzero(expected)])
+        chosen += expected.sum()
+    assert chosen > 0
 
 
 @pytest.mark.parametrize("vague", [1e-4, 1e-2, 1.0])

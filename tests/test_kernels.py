@@ -7,6 +7,7 @@ import reference
 from mixtures import random_points_and_covariances, random_pose
 
 from adagmm_o3d.kernels.compiling import LOG2_SCALE
+from adagmm_o3d.kernels.convolved_rows import SHARE
 from adagmm_o3d.kernels.culling import CHUNK, CLUSTER, GROUP, RUN, TILE
 from adagmm_o3d.kernels.exp2 import exp2_float32
 from adagmm_o3d.kernels.pair_loop import BANDS, CUT_BITS, PairLoop
@@ -202,6 +203,18 @@ def test_the_variances_of_both_sides_reach_to_far_tiles():
     near, far = 1e-3 * rng.normal(size=(CLUSTER, 3)), [1.0, 0.0, 0.0] + 1e-3 * rng.normal(size=(TILE, 3))
     assert seen(near, far, 1.0 / 40.0).all()
     assert not seen(near, far, 1.0 / 400.0).any()
+
+
+def test_tiles_out_of_reach_are_not_looked_at_though_others_of_their_group_are():
+    rng = np.random.default_rng(1)
+    near, far = 0.01 * rng.normal(size=(TILE, 3)), [2.0, 0.0, 0.0] + 0.01 * rng.normal(size=(TILE, 3))
+    target = make_mixture("target", np.concatenate([near, far]), None)
+    loop = PairLoop(make_mixture("source", near + 1e-3, None), target)
+    expected = loop.posterior_sums(np.eye(4), 1e-4, 0.1)
+    loop._convolved[2][SHARE, TILE:] = np.nan
+    sums = loop.posterior_sums(np.eye(4), 1e-4, 0.1)
+    np.testing.assert_array_equal(sums.hessian, expected.hessian)
+    np.testing.assert_array_equal(sums.column_densities, expected.column_densities)
 
 
 def test_the_first_of_far_tiles_behind_a_group_left_out_is_seen():

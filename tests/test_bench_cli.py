@@ -208,6 +208,7 @@ def test_ablation_undoes_one_choice_at_a_time(tmp_path, monkeypatch, capsys):
     assert main(arguments) == 0
     captured = capsys.readouterr()
     assert "left out the Kinect scenes: data: expected kinect_pairs" in captured.err
+    assert all(f"one choice undone at a time: {group}" in captured.out for group in ("2D", "3D", "sides", "dense"))
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert set(report["summaries"]) == {"2D", "3D", "sides", "dense"}
     assert all({s["method"] for s in group} == set(ablation.NAMES) for group in report["summaries"].values())

@@ -93,7 +93,8 @@ def run(arguments: argparse.Namespace) -> int:
             "trials": records,
         },
     )
-    print_table("one choice undone at a time", columns, rows)
+    for group, members in summaries.items():
+        print_table(f"one choice undone at a time: {group}", *ablation_table({group: members}))
     print(f"report and every trial: {arguments.output}")
     return 0
 

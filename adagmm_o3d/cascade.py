@@ -90,6 +90,17 @@ class Cascade:
             level=0,
         )
         sketched = distinct(sketched, KEPT_SKETCHED, APART_MERGED)
+        rivals = [
+            end for end in self._narrowed(sketched, merged) if pose_distance(end.pose, decided.pose) > APART_DECIDING
+        ]
+        return sorted([decided, *self._decide(rivals, size)], key=lambda end: -end.log_likelihood)
+
+    def run_deciding(self, starts: list[Start]) -> list[End]:
+        """Run starts on the deciding level right away."""
+        return self._run_sampled(starts, SMALL if self.small else DECIDING)
+
+    def _narrowed(self, sketched: list[End], merged: End) -> list[End]:
+        """The few ends of a sketch that, after the merged and the ranking level, may be likelier than `merged`."""
         again = [Start(end.pose, 2.0 * MERGED_LIMITS.floor, end.unmatched, 0.65, 4, follow=0.0) for end in sketched]
         ends = joined(sketched, self._run_merged(again))
         kept = [end for end in distinct([merged, *ends], KEPT_MERGED, APART_MERGED) if end is not merged]
@@ -101,16 +112,7 @@ class Cascade:
             volume=self.volume,
             level=1,
         )
-        rivals = [
-            end
-            for end in distinct(joined(kept, ranked), KEPT_RANKING, APART_RANKING)
-            if pose_distance(end.pose, decided.pose) > APART_DECIDING
-        ]
-        return sorted([decided, *self._decide(rivals, size)], key=lambda end: -end.log_likelihood)
-
-    def run_deciding(self, starts: list[Start]) -> list[End]:
-        """Run starts on the deciding level right away."""
-        return self._run_sampled(starts, SMALL if self.small else DECIDING)
+        return distinct(joined(kept, ranked), KEPT_RANKING, APART_RANKING)
 
     def _run_merged(self, starts: list[Start]) -> list[End]:
         return run_starts(*self._merged, starts, limits=MERGED_LIMITS, volume=self.volume, level=0)

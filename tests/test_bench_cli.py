@@ -11,13 +11,11 @@ from adagmm_bench.commands import ablation, covariance
 from adagmm_bench.commands.kinect import AUTHORS
 from adagmm_bench.commands.options import starts_of
 from adagmm_bench.methods import METHODS
-from adagmm_bench.methods.ours import ABLATIONS
 from adagmm_bench.plots import plot_pair_errors, plot_sweep
 from adagmm_bench.problem import prepare
 from adagmm_bench.simulation import TrialId
 from adagmm_bench.summary import best_start, by_setting, summarise
 from adagmm_bench.trial import SimulatedProblem
-from adagmm_o3d import TransformationEstimationForAdaptiveGMM
 
 PNG = b"\x89PNG\r\n"
 
@@ -204,13 +202,16 @@ def test_ablation_undoes_one_choice_at_a_time(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(
         ablation, "trial_ids", lambda dimension, **_: [TrialId(dimension, "occlusion", 0.03, i) for i in range(2)]
     )
+    monkeypatch.setattr(ablation, "SIDES", 1)
+    monkeypatch.setattr(ablation, "DENSE_POINTS", (1000, 1500))
     arguments = ["ablation", "--workers", "1", "--data", str(tmp_path), "--output", str(tmp_path / "out")]
     assert main(arguments) == 0
     captured = capsys.readouterr()
     assert "left out the Kinect scenes: data: expected kinect_pairs" in captured.err
+    assert all(f"one choice undone at a time: {group}" in captured.out for group in ("2D", "3D", "sides", "dense"))
     report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert set(report["summaries"]) == {"2D", "3D"}
-    assert {s["method"] for s in report["summaries"]["3D"]} == set(ablation.NAMES)
+    assert set(report["summaries"]) == {"2D", "3D", "sides", "dense"}
+    assert all({s["method"] for s in group} == set(ablation.NAMES) for group in report["summaries"].values())
     assert all(s["trials"] == 2 for group in report["summaries"].values() for s in group)
 
 
@@ -244,11 +245,3 @@ def test_poses_enter_the_prepared_clouds_and_leave_them():
     expected = problem.source.points @ problem.T_target_source[:3, :3].T + problem.T_target_source[:3, 3]
     expected = (expected - prepared.target_offset) / prepared.scale
     np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-12)
-
-
-def test_an_ablation_differs_from_the_default_in_one_option():
-    default = TransformationEstimationForAdaptiveGMM()
-    for name, variant in ABLATIONS.items():
-        ((option, value),) = variant.options.items()
-        assert getattr(default, option) != value, name
-        assert variant.init is None

@@ -9,7 +9,8 @@ import numpy as np
 
 from adagmm_bench.commands.options import add_data, data_folder
 from adagmm_bench.methods import METHODS
-from adagmm_bench.methods.ours import ABLATIONS, VARIANTS, register
+from adagmm_bench.methods.ablations import ABLATIONS
+from adagmm_bench.methods.ours import VARIANTS, register
 from adagmm_bench.models import find_models
 from adagmm_bench.problem import PREPARATIONS, Problem, prepare
 from adagmm_bench.replay_log import log_replay, replay_blueprint

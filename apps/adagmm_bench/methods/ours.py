@@ -2,24 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
-
 import numpy as np
 
+from adagmm_bench.methods.ablations import ABLATIONS
 from adagmm_bench.methods.registry import Function, method
+from adagmm_bench.methods.variant import Variant, replaced
 from adagmm_bench.problem import Cloud
 from adagmm_o3d import PointRegistrationResult, TransformationEstimationForAdaptiveGMM, register_points
-
-
-@dataclass(frozen=True)
-class Variant:
-    """Options and start of `register_points` under one name; `meaning` is what the reports say about it."""
-
-    meaning: str
-    options: dict[str, Any] = field(default_factory=dict)
-    init: str | None = None
-
 
 VARIANTS = {
     "adagmm": Variant("This package with its default options."),
@@ -37,37 +26,20 @@ VARIANTS = {
     ),
 }
 
-# The default with one choice undone at a time; `adagmm-bench ablation` runs them.
-ABLATIONS = {
-    "adagmm-without-posterior": Variant(
-        "The default with the paper's weights and an annealed sigma instead of posteriors.", {"sigma_rule": "annealed"}
-    ),
-    "adagmm-without-noise-floor": Variant(
-        "The default with the paper's weights and its sigma, which points without a partner hold up.",
-        {"sigma_rule": "nearest"},
-    ),
-    "adagmm-without-search": Variant(
-        "The default without the search that follows a doubtful result.", {"search": False}
-    ),
-    "adagmm-without-centroids": Variant("The default, started at the identity only.", {"start": "init"}),
-    "adagmm-without-mutuality": Variant(
-        "The default with each pair's weight a share of the source point's alone.", {"mutuality": 0.0}
-    ),
-}
-
 
 def register(name: str, source: Cloud, target: Cloud) -> PointRegistrationResult:
     """One of VARIANTS or ABLATIONS on two clouds, with its own record of the way."""
     variant = (VARIANTS | ABLATIONS)[name]
-    return register_points(
-        source.points,
-        target.points,
-        source.covariances,
-        target.covariances,
-        init=variant.init,
-        estimation_method=TransformationEstimationForAdaptiveGMM(**variant.options),
-        device="cpu",
-    )
+    with replaced(variant.replacements):
+        return register_points(
+            source.points,
+            target.points,
+            source.covariances,
+            target.covariances,
+            init=variant.init,
+            estimation_method=TransformationEstimationForAdaptiveGMM(**variant.options),
+            device="cpu",
+        )
 
 
 def _pose_by(name: str, meaning: str) -> Function:

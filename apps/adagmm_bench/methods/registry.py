@@ -52,8 +52,8 @@ class Method:
         return _import_failure(self.library)
 
     def version(self) -> str:
-        """The library and its version; ours with a digest of its source, so that old results of changed code are not
-        reused.
+        """The library and its version; ours with a digest of its source and of what is replaced in it here, so that old
+        results of changed code are not reused.
         """
         return _version(self.library)
 
@@ -117,7 +117,8 @@ def _import_failure(library: str) -> str | None:
 @cache
 def _version(library: str) -> str:
     if library == "adagmm_o3d":
-        return f"adagmm-o3d {importlib.metadata.version('adagmm-o3d')} ({source_digest(library)})"
+        digest = source_digest(library, "adagmm_bench.methods")
+        return f"adagmm-o3d {importlib.metadata.version('adagmm-o3d')} ({digest})"
     distributions = importlib.metadata.packages_distributions().get(library, [library])
     try:
         return f"{library} {importlib.metadata.version(distributions[0])}"

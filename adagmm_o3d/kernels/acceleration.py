@@ -23,8 +23,6 @@ TURN_AND_SHIFT, LOG_SIGMA, UNMATCHED_SHARE = 6, 6, 7
 STATE = 8
 # How many past steps are combined.
 MEMORY = 3
-# A residual that has grown by more than this comes from somewhere else: the past says nothing about it.
-GROWTH = 1.0
 # A step goes no further than this: in standard deviations of the mixtures, and in log σ.
 LONGEST_STEP, LARGEST_CHANGE = 0.3, 0.2
 RIDGE = 1e-10
@@ -47,7 +45,8 @@ def accelerated_step(residual, deviation, memory, step):
     known = int(memory[-1, 0])
     last, taken = memory[-3], memory[-2]
     if known >= 0:
-        if size(residual, deviation) > GROWTH * size(last, deviation):
+        # A residual that has grown comes from somewhere else: the past says nothing about it.
+        if size(residual, deviation) > size(last, deviation):
             known = 0
         else:
             for i in range(STATE):

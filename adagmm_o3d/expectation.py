@@ -114,7 +114,7 @@ class PosteriorExpectation:
             forget(self._memory)
         else:
             accelerate(residual, math.sqrt(old), self._memory, step)
-            new = max(old * math.exp(step[LOG_SIGMA]), self._fastest * old, self._floor)
+            new = max(old * math.exp(step[LOG_SIGMA]), self._floor)
         self.unmatched = min(max(self.unmatched + step[UNMATCHED_SHARE], LEAST_UNMATCHED), MOST_UNMATCHED)
         self.scale = Scale(new, new)
         done = settled and abs(residual[LOG_SIGMA]) < SIGMA_TOLERANCE

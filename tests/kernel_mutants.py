@@ -296,7 +296,7 @@ CPU = {
         ("sigma * energy / dimension, floor)", "sigma * energy, floor)"),
         ("start[FOLLOW] * sigma", "sigma"),
         ("start[FASTEST] * sigma, wanted)", "start[FASTEST], wanted)"),
-        ("start[FASTEST] * sigma, floor)", "floor, floor)"),
+        ("math.exp(taken[LOG_SIGMA]), floor)", "math.exp(taken[LOG_SIGMA]), 0.0)"),
         ("moved += residual[i] * residual[i]", "moved -= residual[i] * residual[i]"),
         ("moved <= relative_rmse * sigma", "moved <= relative_rmse"),
         ("abs(new - sigma) < 0.01 * sigma", "abs(new - sigma) < sigma"),

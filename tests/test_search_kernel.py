@@ -139,7 +139,7 @@ class Problem:
             residual = np.concatenate([self.newton_step(sums, pose), [math.log(new / sigma), share - unmatched]])
             if limits.accelerated and slowest <= wanted:
                 accelerate(residual, math.sqrt(sigma), memory, taken)
-                new = max(sigma * math.exp(taken[LOG_SIGMA]), slowest, limits.floor)
+                new = max(sigma * math.exp(taken[LOG_SIGMA]), limits.floor)
             else:
                 forget(memory)
                 taken[:] = residual

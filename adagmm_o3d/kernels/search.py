@@ -174,7 +174,7 @@ def run_start(pose, start, source, target, kind, world, bounds, relative_rmse, a
                 taken[i] = residual[i]
         else:
             accelerated_step(residual, math.sqrt(sigma), memory, taken)
-            new = max(sigma * math.exp(taken[LOG_SIGMA]), start[FASTEST] * sigma, floor)
+            new = max(sigma * math.exp(taken[LOG_SIGMA]), floor)
         move(taken, pose)
         for i in range(12):
             history[iteration, i] = pose[i]

@@ -287,6 +287,19 @@ def test_a_pair_reaches_as_far_as_the_variance_of_either_side_does(vague, what):
     np.testing.assert_allclose(end.iterations[0].matched, p.matched(sums, uniform), rtol=2e-3)
 
 
+def test_an_extrapolated_scale_stays_above_its_floor():
+    limits, reached = replace(LIMITS, accelerated=True), 0
+    for seed in range(6):
+        p = Problem(3, False, seed=seed)
+        (free,) = p.run(iterations=40, limits=limits)
+        floor = 1.5 * min(i.sigma for i in free.iterations)
+        (end,) = p.run(iterations=40, limits=replace(limits, floor=floor))
+        least = min(end.sigma, *(i.sigma for i in end.iterations))
+        assert least >= floor
+        reached += least < 1.001 * floor
+    assert reached >= 3
+
+
 @shapes
 def test_the_search_leaves_out_no_pair_that_a_coarse_mixture_tells(dimension, isotropic):
     p = Problem(dimension, isotropic, sizes=(10, 300))

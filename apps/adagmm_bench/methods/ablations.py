@@ -77,7 +77,7 @@ ABLATIONS = {
     ),
     "adagmm-close-volume": Variant(
         "The default with points without a partner spread over little more than the clouds.",
-        replacements=(Replacement("points", "OPEN_VOLUME", CLOSE_VOLUME),),
+        replacements=(Replacement("mixture_registration", "OPEN_VOLUME", CLOSE_VOLUME),),
     ),
     "adagmm-without-acceleration": Variant(
         "The default with every step of the last refinement as EM gives it.",

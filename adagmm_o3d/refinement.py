@@ -13,7 +13,7 @@ from .cascade import SMALL, Cascade
 from .condensing import condense
 from .criteria import Criteria
 from .em import Outcome, expectation_maximisation
-from .expectation import FASTEST, FINEST_SIGMA, LEAST_UNMATCHED, SIGMA_FLOOR, PosteriorExpectation
+from .expectation import FASTEST, FINEST_SIGMA, LEAST_UNMATCHED, SAMPLED_SIGMA, SIGMA_FLOOR, PosteriorExpectation
 from .kernels.backend import make_pair_loop
 from .kernels.pair_loop import CUT_BITS
 from .mixture import Mixture
@@ -88,7 +88,7 @@ def refine(
     found = Fit(end.pose, end.sigma, end.unmatched, volume, mutuality)
     condensed = condense(source), condense(target)
     dense = condensed[0] is not source or condensed[1] is not target
-    refined = run(condensed, found, criteria.max_iteration, SIGMA_FLOOR if dense else FINEST_SIGMA, FASTEST, mutuality)
+    refined = run(condensed, found, criteria.max_iteration, SIGMA_FLOOR if dense else SAMPLED_SIGMA, FASTEST, mutuality)
     iterations = refined.outcome.iterations
     left = criteria.max_iteration - len(iterations)
     sharp = refined.outcome.stop_reason is StopReason.CONVERGED and refined.fit.sigma <= AT_FLOOR * SIGMA_FLOOR
@@ -102,7 +102,7 @@ def refine(
 def _refine_compiled(cascade: Cascade, end: End, criteria: Criteria, observe: Observe | None) -> tuple[Outcome, Fit]:
     """Without a return to Python, which would cost small clouds more than their pairs do."""
     start = Start(end.pose, end.sigma, end.unmatched, FASTEST, criteria.max_iteration, follow=1.0)
-    limits = Limits(FINEST_SIGMA, LEAST_UNMATCHED, criteria.relative_rmse, accelerated=True, bits=CUT_BITS)
+    limits = Limits(SAMPLED_SIGMA, LEAST_UNMATCHED, criteria.relative_rmse, accelerated=True, bits=CUT_BITS)
     refined = run_starts(*cascade.sampled(SMALL), [start], limits=limits, volume=cascade.volume, level=LEVEL)[0]
     if observe is not None:
         for iteration in refined.iterations:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from adagmm_bench.methods.variant import Replacement, Variant
 from adagmm_o3d.cascade import APART_MERGED, KEPT_RANKING, MERGED, SMALL, Cascade
 from adagmm_o3d.coarse import MergedMixture
-from adagmm_o3d.expectation import CLOSE_VOLUME, SIGMA_FLOOR
+from adagmm_o3d.expectation import CLOSE_VOLUME, FINEST_SIGMA, SIGMA_FLOOR
 from adagmm_o3d.start_search import End, Limits, Start, pose_distance, run_starts
 from adagmm_o3d.starts import around
 
@@ -64,9 +64,13 @@ ABLATIONS = {
     "adagmm-without-finest-sigma": Variant(
         "The default with sigma kept from following the residuals below the floor of the deciding level.",
         replacements=(
-            Replacement("refinement", "FINEST_SIGMA", SIGMA_FLOOR),
+            Replacement("refinement", "SAMPLED_SIGMA", SIGMA_FLOOR),
             Replacement("refinement", "AT_FLOOR", 0.0),
         ),
+    ),
+    "adagmm-finest-sigma-everywhere": Variant(
+        "The default with sigma free to follow the residuals as far on clouds of some thousand points as on dense ones.",
+        replacements=(Replacement("refinement", "SAMPLED_SIGMA", FINEST_SIGMA),),
     ),
     "adagmm-without-mutuality": Variant(
         "The default with each pair's weight a share of the source point's alone, for large clouds too.",

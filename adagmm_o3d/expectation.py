@@ -24,7 +24,7 @@ CLOSE_VOLUME = {2: 1.0, 3: 1.0}
 LEAST_UNMATCHED, MOST_UNMATCHED = 0.05, 0.7
 # No part of a cloud that decides between ends resolves its shape better than this: a standard deviation of 1.6 % of the
 # radius. On all points of clouds of some thousand σ follows the residuals down to 1 %, a fraction of their spacing;
-# below, chance coincidences of the samples decide (on recordings of five sensors poses got worse). Dense clouds can tell
+# below, chance coincidences of the samples decide (on recordings of five sensors poses got worse). Dense clouds tell
 # more: there it may follow to where float32 coordinates still have three digits.
 SIGMA_FLOOR, SAMPLED_SIGMA, FINEST_SIGMA = 2.5e-4, 1e-4, 1e-6
 # How fast σ may fall on all points: to this share of itself in an iteration.

@@ -69,7 +69,7 @@ ABLATIONS = {
         ),
     ),
     "adagmm-finest-sigma-everywhere": Variant(
-        "The default with sigma free to follow the residuals as far on clouds of some thousand points as on dense ones.",
+        "The default with sigma free to follow the residuals on clouds of some thousand points as on dense ones.",
         replacements=(Replacement("refinement", "SAMPLED_SIGMA", FINEST_SIGMA),),
     ),
     "adagmm-without-mutuality": Variant(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from functools import cache
 
 import numpy as np
 
@@ -44,14 +45,23 @@ def near(pose: Array) -> list[Start]:
 
 def around(pose: Array, dimension: int) -> list[Start]:
     """Narrow starts at a pose and shifted from it, and starts turned about axes and diagonals."""
+    shifts, rotations = _shifts(dimension), _rotations(dimension)
+    shifted = np.tile(pose, (len(shifts), 1, 1))
+    shifted[:, :3, 3] += shifts
+    # about the source's own centroid
+    rotated = np.tile(pose, (len(rotations), 1, 1))
+    rotated[:, :3, :3] = rotations @ pose[:3, :3]
+    return [*map(narrow, shifted), *map(turned, rotated)]
+
+
+@cache
+def _rotations(dimension: int) -> Array:
+    """(k, 3, 3)"""
     turns = np.concatenate([TURN * SIDES, DIAGONAL_TURN * DIAGONALS]) if dimension == 3 else TURN * SIDES[2::3]
-    rotations = [so_exp(turn) for turn in turns]
-    return [
-        *(narrow(_shifted(pose, shift)) for shift in _shifts(dimension)),
-        *(turned(_rotated(pose, rotation)) for rotation in rotations),
-    ]
+    return np.array([so_exp(turn) for turn in turns])
 
 
+@cache
 def _shifts(dimension: int) -> Array:
     """(k, 3) shifts that cover those of the centroids of clouds that overlap in part, the zero first."""
     if dimension == 2:
@@ -63,16 +73,3 @@ def _shifts(dimension: int) -> Array:
 def _ring(radius: float, count: int) -> Array:
     angles = 2.0 * np.pi / count * np.arange(count)
     return radius * np.stack([np.cos(angles), np.sin(angles), np.zeros(count)], axis=1)
-
-
-def _shifted(pose: Array, shift: Array) -> Array:
-    shifted = pose.copy()
-    shifted[:3, 3] += shift
-    return shifted
-
-
-def _rotated(pose: Array, rotation: Array) -> Array:
-    """The source turned about its own centroid."""
-    rotated = pose.copy()
-    rotated[:3, :3] = rotation @ pose[:3, :3]
-    return rotated

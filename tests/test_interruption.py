@@ -1,21 +1,25 @@
 """Killed, interrupted, out of room, started twice: what was finished is intact, the exit code is right, and a command
 that is started again ends as if nothing had happened."""
 
+import importlib
 import json
 import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from depth_scene import camera_pose, write_pose_file
+from llvmlite.binding import executionengine
 
 from adagmm_bench.journal import Journal
 from adagmm_fusion.errors import OutputError
 from adagmm_fusion.frames import PinholeIntrinsics
 from adagmm_fusion.image_files import read_color
+from adagmm_fusion.interruption import Terminated, signals_as_interrupts
 from adagmm_fusion.output_folder import exclusive
 from adagmm_fusion.recording import open_recording
 from adagmm_fusion.recording_writer import convert_recording
@@ -252,3 +256,25 @@ def test_a_conversion_after_one_that_was_killed(killable, room, tmp_path):
     (tmp_path / ".copy.partial" / "recording.yaml").write_text("half")
     convert_recording(open_recording(room), tmp_path / "copy")
     assert len(open_recording(tmp_path / "copy").entries) == 5 and not hidden(tmp_path)
+
+
+@pytest.mark.parametrize(("number", "expected"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, Terminated)])
+def test_a_signal_during_an_import_is_heard_after_it(number, expected, tmp_path, monkeypatch):
+    name = f"signalled_{number}"
+    (tmp_path / f"{name}.py").write_text(f"import signal\nsignal.raise_signal({int(number)})\ndone = True\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(expected), signals_as_interrupts():
+        importlib.import_module(name)
+        time.sleep(30.0)
+    assert sys.modules.pop(name).done
+
+
+def test_a_signal_is_not_raised_where_llvm_asks_for_compiled_kernels():
+    engine = executionengine.ExecutionEngine
+    assert {"_raw_object_cache_getbuffer", "_raw_object_cache_notify"} <= vars(engine).keys()
+    lines = "def _raw_object_cache_getbuffer():\n    signal.raise_signal(signal.SIGTERM)\n    return 'came to its end'"
+    names = {"signal": signal, "__name__": executionengine.__name__}
+    exec(lines, names)
+    with pytest.raises(Terminated), signals_as_interrupts():
+        assert names["_raw_object_cache_getbuffer"]() == "came to its end"
+        time.sleep(30.0)

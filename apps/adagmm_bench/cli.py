@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from adagmm_fusion.interruption import exit_code, heard_afterwards, sigterm_as_interrupt
+from adagmm_fusion.interruption import exit_code, heard_afterwards, signals_as_interrupts
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Ctrl-C, 143 after SIGTERM.
     """
     try:
-        with sigterm_as_interrupt():
+        with signals_as_interrupts():
             return _run_command(arguments)
     except BrokenPipeError:  # the reader of our output has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

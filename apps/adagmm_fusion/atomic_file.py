@@ -1,7 +1,7 @@
 """Files appear under their final name complete or not at all."""
 
 import os
-import tempfile
+import secrets
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -17,24 +17,20 @@ def replacing(path):
     OutputError  if the folder cannot be made or written, or the file cannot be put in place.
     """
     path = Path(path)
-    temporary = None
+    # Its name is known before it is there, so that it is taken away whenever an interrupt comes.
+    temporary = path.with_name(f".{path.stem}-{secrets.token_hex(8)}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-        os.close(handle)
-        # mkstemp makes files private; a result should be as readable as any other new file.
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)
-        yield Path(temporary)
+        temporary.touch(exist_ok=False)
+        yield temporary
         os.replace(temporary, path)
     except OutputError:
         raise
     except OSError as problem:
         raise OutputError(f"{path}: cannot be written: {problem.strerror or problem}") from problem
     finally:
-        if temporary is not None and os.path.exists(temporary):
-            os.unlink(temporary)
+        if temporary.exists():
+            temporary.unlink()
 
 
 def write_text(path, text: str):

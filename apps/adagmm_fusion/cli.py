@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import fields
 from importlib import metadata
 
-from adagmm_fusion.interruption import Terminated, exit_code, heard_afterwards, sigterm_as_interrupt
+from adagmm_fusion.interruption import Terminated, exit_code, heard_afterwards, signals_as_interrupts
 
 SETTINGS_OPTIONS = {
     "sensor_model": "--sensor-model",
@@ -29,7 +29,7 @@ SETTINGS_OPTIONS = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     try:
-        with sigterm_as_interrupt():
+        with signals_as_interrupts():
             return _run_command(arguments)
     except KeyboardInterrupt as stop:
         print(f"adagmm-fusion: {'terminated' if isinstance(stop, Terminated) else 'interrupted'}", file=sys.stderr)

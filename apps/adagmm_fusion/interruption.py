@@ -4,6 +4,10 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import FrameType
+
+# An interrupt that has come at a bad moment comes again after so long.
+AGAIN_S = 0.02
 
 
 class Terminated(KeyboardInterrupt):
@@ -17,7 +21,7 @@ def exit_code(stop: KeyboardInterrupt) -> int:
 
 @contextmanager
 def heard_afterwards() -> Iterator[None]:
-    """Within, Ctrl-C and SIGTERM are put off to the end: an import that is interrupted fails in some way of its own."""
+    """Within, Ctrl-C and SIGTERM are put off to the end and heard before anything else is done."""
     if threading.current_thread() is not threading.main_thread():  # only there can handlers be set
         yield
         return
@@ -34,18 +38,43 @@ def heard_afterwards() -> Iterator[None]:
 
 
 @contextmanager
-def sigterm_as_interrupt() -> Iterator[None]:
-    """Within, SIGTERM raises Terminated, once: what is then done to keep results is not disturbed by another one."""
+def signals_as_interrupts() -> Iterator[None]:
+    """Within, Ctrl-C raises KeyboardInterrupt and SIGTERM Terminated, as soon as they can, see `must_not_stop`.
+
+    SIGTERM does it once: what is then done to keep results is not disturbed by another one.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
-    def terminate(*_) -> None:
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        raise Terminated
+    def stop(number: int, frame: FrameType | None) -> None:
+        if must_not_stop(frame):
+            again = threading.Timer(AGAIN_S, signal.raise_signal, (number,))
+            again.daemon = True
+            again.start()
+        elif number == signal.SIGTERM:
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)
+            raise Terminated
+        else:
+            raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGTERM, terminate)
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def must_not_stop(frame: FrameType | None) -> bool:
+    """Whether an exception raised in `frame` would do more than end what runs there.
+
+    An import that is interrupted fails in some way of its own. LLVM asks Python for kernels compiled before: there an
+    exception is lost, and the process crashes without what was asked for.
+    """
+    while frame is not None:
+        module, function = frame.f_globals.get("__name__"), frame.f_code.co_name
+        if module == "importlib._bootstrap" or (module == "llvmlite.binding.executionengine" and "_raw_" in function):
+            return True
+        frame = frame.f_back
+    return False

@@ -49,7 +49,8 @@ def signals_as_interrupts() -> Iterator[None]:
 
     def stop(number: int, frame: FrameType | None) -> None:
         if must_not_stop(frame):
-            again = threading.Timer(AGAIN_S, signal.raise_signal, (number,))
+            # to the main thread itself, which may be asleep
+            again = threading.Timer(AGAIN_S, signal.pthread_kill, (threading.main_thread().ident, number))
             again.daemon = True
             again.start()
         elif number == signal.SIGTERM:
@@ -70,11 +71,14 @@ def must_not_stop(frame: FrameType | None) -> bool:
     """Whether an exception raised in `frame` would do more than end what runs there.
 
     An import that is interrupted fails in some way of its own. LLVM asks Python for kernels compiled before: there an
-    exception is lost, and the process crashes without what was asked for.
+    exception is lost, and the process crashes without what was asked for. A grammar of pyparsing's (for Matplotlib's
+    labels) that is half made prints a traceback when it is thrown away.
     """
     while frame is not None:
-        module, function = frame.f_globals.get("__name__"), frame.f_code.co_name
-        if module == "importlib._bootstrap" or (module == "llvmlite.binding.executionengine" and "_raw_" in function):
+        module, function = str(frame.f_globals.get("__name__")), frame.f_code.co_name
+        if module == "importlib._bootstrap" or module.startswith("pyparsing."):
+            return True
+        if module == "llvmlite.binding.executionengine" and function.startswith("_raw_"):
             return True
         frame = frame.f_back
     return False

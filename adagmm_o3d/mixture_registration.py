@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,6 +27,7 @@ from .options import TransformationEstimationForAdaptiveGMM
 from .pose_covariance import uncertainty_out
 from .refinement import refine
 from .result import PointRegistrationResult, PoseUncertainty, StopReason
+from .settings import Callback
 from .sigma_rules import Annealed, FigureTwo, NearestDistance, SigmaRule
 from .start_search import End, pose_distance
 from .trace import Iteration
@@ -41,8 +41,6 @@ SAME_START = 0.1
 # The paper's wide mixtures converge slowly: their steps are short long before the end.
 SLOW = 0.01
 
-Observer = Callable[[dict[str, Any]], None]
-
 
 def register_mixtures(
     moving: Mixture,
@@ -51,7 +49,7 @@ def register_mixtures(
     method: TransformationEstimationForAdaptiveGMM,
     limits: Criteria,
     device: str,
-    callback: Observer | None,
+    callback: Callback | None,
 ) -> PointRegistrationResult:
     """Register the mixtures as they came through the door, wherever they lie; see `register_points`."""
     dimension = moving.dimension
@@ -171,7 +169,7 @@ def _sigma_rule(method: TransformationEstimationForAdaptiveGMM, dimension: int) 
 
 
 def _observer(
-    callback: Observer | None, normalisation: Normalisation, dimension: int
+    callback: Callback | None, normalisation: Normalisation, dimension: int
 ) -> Callable[[Iteration], None] | None:
     if callback is None:
         return None

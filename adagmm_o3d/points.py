@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -10,9 +9,7 @@ from numpy.typing import ArrayLike
 from .errors import InputError
 from .kernels.backend import check_device, mixture_maker
 from .result import PointRegistrationResult
-from .settings import check_callback, check_criteria, check_estimation_method
-
-Observer = Callable[[dict[str, Any]], None]
+from .settings import Callback, check_callback, check_criteria, check_estimation_method
 
 
 def register_points(
@@ -25,7 +22,7 @@ def register_points(
     estimation_method: Any = None,
     criteria: Any = None,
     device: str = "auto",
-    callback_after_iteration: Observer | None = None,
+    callback_after_iteration: Callback | None = None,
 ) -> PointRegistrationResult:
     """Register the points `source` onto `target` as adaptive Gaussian mixtures, in 2D or 3D.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -13,7 +12,7 @@ from .arguments import Array, real_number
 from .errors import InputError, InputTypeError
 from .points import register_points
 from .result import PointRegistrationResult
-from .settings import check_callback, check_criteria, check_estimation_method
+from .settings import Callback, check_callback, check_criteria, check_estimation_method
 from .tensor_registration import check_voxel_size, register_tensor_clouds
 from .uncertainty import estimate_surface_covariances
 
@@ -34,7 +33,7 @@ def registration_adaptive_gmm(
     estimation_method: Any = None,
     criteria: Any = None,
     voxel_size: float = -1.0,
-    callback_after_iteration: Callable[[dict[str, Any]], None] | None = None,
+    callback_after_iteration: Callback | None = None,
     *,
     init_source_to_target: ArrayLike | o3d.core.Tensor | str | None = None,
     device: str = "auto",

@@ -12,6 +12,9 @@ from .criteria import Criteria
 from .errors import InputError, InputTypeError
 from .options import DEFAULT_MAX_ITERATION, DEFAULT_RELATIVE_RMSE, TransformationEstimationForAdaptiveGMM
 
+# What is called after each EM iteration, with what `registration_adaptive_gmm` says of it.
+Callback = Callable[[dict[str, Any]], None]
+
 LEGACY, TENSOR = o3d.pipelines.registration, o3d.t.pipelines.registration
 
 
@@ -57,7 +60,7 @@ def check_criteria(value: Any) -> Criteria:
     return Criteria(float(value.relative_rmse), int(value.max_iteration))
 
 
-def check_callback(value: Any) -> Callable[[dict[str, Any]], None] | None:
+def check_callback(value: Any) -> Callback | None:
     """The function to call after each iteration, or None.
 
     Raises

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, TypeAlias
 
@@ -18,12 +17,11 @@ from .kernels.cuda.availability import obstacle
 from .options import TransformationEstimationForAdaptiveGMM
 from .points import register_points
 from .result import PointRegistrationResult, PoseUncertainty
-from .settings import check_criteria
+from .settings import Callback, check_criteria
 from .uncertainty import estimate_surface_covariances
 
 TensorCloud: TypeAlias = o3d.t.geometry.PointCloud
 TensorResult: TypeAlias = o3d.t.pipelines.registration.RegistrationResult
-Callback = Callable[[dict[str, Any]], None]
 
 # Open3D numbers the voxels along an axis in 32 bits.
 MOST_VOXELS = 2.0**31 - 1.0

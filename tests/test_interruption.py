@@ -289,3 +289,16 @@ def test_a_signal_is_not_raised_where_it_would_do_harm(module, function):
         assert names[name]() == "came to its end"
         time.sleep(30.0)
     assert time.monotonic() - started < 20.0, "heard only after the sleep"
+
+
+@pytest.mark.parametrize(("number", "expected"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, Terminated)])
+def test_a_signal_while_something_is_thrown_away_is_not_lost(number, expected):
+    class Noisy:
+        def __del__(self):
+            signal.raise_signal(number)
+
+    started = time.monotonic()
+    with pytest.raises(expected), signals_as_interrupts():
+        Noisy()
+        time.sleep(30.0)
+    assert time.monotonic() - started < 20.0, "heard only after the sleep"

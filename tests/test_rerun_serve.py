@@ -64,7 +64,7 @@ def test_only_loopback_listens_and_the_server_ends_with_us(serving, ending):
     assert len(listening) == 2
     assert {place.ip for place in listening} == {"127.0.0.1"}
     process.send_signal(ending)
-    process.wait(timeout=30)
+    assert process.wait(timeout=30) in {signal.SIGINT: (0, -signal.SIGINT), signal.SIGTERM: (143,)}[ending]
     gone, alive = psutil.wait_procs(family, timeout=10)
     assert alive == [] and len(gone) == len(family)
 

@@ -71,12 +71,12 @@ def must_not_stop(frame: FrameType | None) -> bool:
     """Whether an exception raised in `frame` would do more than end what runs there.
 
     An import that is interrupted fails in some way of its own. LLVM asks Python for kernels compiled before: there an
-    exception is lost, and the process crashes without what was asked for. A grammar of pyparsing's (for Matplotlib's
-    labels) that is half made prints a traceback when it is thrown away.
+    exception is lost, and the process crashes without what was asked for. In a `__del__` it is lost too. A grammar of
+    pyparsing's (for Matplotlib's labels) that is half made prints a traceback when it is thrown away.
     """
     while frame is not None:
         module, function = str(frame.f_globals.get("__name__")), frame.f_code.co_name
-        if module == "importlib._bootstrap" or module.startswith("pyparsing."):
+        if module == "importlib._bootstrap" or module.startswith("pyparsing.") or function == "__del__":
             return True
         if module == "llvmlite.binding.executionengine" and function.startswith("_raw_"):
             return True

@@ -15,6 +15,7 @@ from pathlib import Path
 import rerun as rr
 
 from adagmm_fusion.errors import OutputError
+from adagmm_fusion.interruption import Terminated, exit_code, signals_as_interrupts
 
 APPLICATION_ID = "adagmm_fusion"
 LOOPBACK = "127.0.0.1"
@@ -116,21 +117,18 @@ def _serve_on_loopback(port: int | None) -> Iterator[tuple[str, subprocess.Popen
     grpc_port, web_port = free_port(port or 0), free_port()
     command = [sys.executable, "-m", "rerun_cli", "--serve-web", "--bind", LOOPBACK, "--port", str(grpc_port)]
     command += ["--web-viewer-port", str(web_port)]
-    terminate = signal.signal(signal.SIGTERM, _exit)  # so that the server does not outlive us
-    server = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
-    try:
-        _wait_for_port(grpc_port, server)
-        _wait_for_port(web_port, server)
-        url = f"rerun+http://{LOOPBACK}:{grpc_port}/proxy"
-        print(f"viewer: http://{LOOPBACK}:{web_port}/?url={url.replace('+', '%2B')} (Ctrl-C ends it)", flush=True)
-        yield url, server
-    finally:
-        _stop(server)
-        signal.signal(signal.SIGTERM, terminate)
-
-
-def _exit(signal_number, _frame) -> None:
-    sys.exit(128 + signal_number)
+    with signals_as_interrupts():  # so that the server does not outlive us
+        server = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+        try:
+            _wait_for_port(grpc_port, server)
+            _wait_for_port(web_port, server)
+            url = f"rerun+http://{LOOPBACK}:{grpc_port}/proxy"
+            print(f"viewer: http://{LOOPBACK}:{web_port}/?url={url.replace('+', '%2B')} (Ctrl-C ends it)", flush=True)
+            yield url, server
+        except Terminated as stop:
+            sys.exit(exit_code(stop))
+        finally:
+            _stop(server)
 
 
 def free_port(port: int = 0) -> int:
@@ -159,8 +157,12 @@ def _wait_for_port(port: int, server: subprocess.Popen) -> None:
 
 
 def _wait_for_interrupt(server: subprocess.Popen) -> None:
-    with contextlib.suppress(KeyboardInterrupt):
+    try:
         server.wait()
+    except Terminated:
+        raise
+    except KeyboardInterrupt:
+        pass
 
 
 def _stop(server: subprocess.Popen) -> None:

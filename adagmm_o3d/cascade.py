@@ -52,6 +52,8 @@ class Cascade:
 
     @cached_property
     def _merged(self) -> tuple[MergedMixture, MergedMixture]:
+        if max(self._certain) <= MERGED:
+            return self.sampled(MERGED)
         return merge(self.source, MERGED), merge(self.target, MERGED)
 
     def sampled(self, size: int) -> tuple[MergedMixture, MergedMixture]:
@@ -80,7 +82,8 @@ class Cascade:
         size = DECIDING
         if self.small:
             size = SMALL_DECIDING
-            decided = self._decide([merged], size)[0]
+            if self.sampled(size) is not self.sampled(SMALL):
+                decided = self._decide([merged], size)[0]
         sketched = run_starts(
             merge(self.source, SKETCHED[self.source.dimension]),
             merge(self.target, SKETCHED[self.source.dimension]),

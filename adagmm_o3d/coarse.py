@@ -106,14 +106,10 @@ class MergedMixture:
 
 def merge(mixture: Mixture, count: int) -> MergedMixture:
     """At most `count` components with the moments of those they stand for; vague ones are left out."""
-    keep = _certain(mixture, MERGE_FROM)
-    part = mixture.take(keep)
-    points, covariances, weights = part.points, part.covariances, part.weights
-    largest = part.largest_variances
-    if len(points) <= count:
-        return MergedMixture(
-            points, covariances, np.zeros_like(covariances), weights / weights.sum(), largest, mixture.dimension
-        )
+    part = mixture.take(_certain(mixture, MERGE_FROM))
+    if len(part) <= count:
+        return _as_it_is(part)
+    points, weights = part.points, part.weights
     label = np.empty(len(points), np.int64)
     farthest_points(np.ascontiguousarray(points.T), count, label)
     total = np.bincount(label, weights, count)
@@ -128,18 +124,23 @@ def merge(mixture: Mixture, count: int) -> MergedMixture:
     offsets = points - means[np.cumsum(used)[label] - 1]
     spreads = average(offsets[:, :, None] * offsets[:, None, :])
     shares = total[used] / total.sum()
-    return MergedMixture(means, average(covariances), spreads, shares, average(largest), mixture.dimension)
+    covariances, largest = average(part.covariances), average(part.largest_variances)
+    return MergedMixture(means, covariances, spreads, shares, largest, mixture.dimension)
 
 
 def sample(mixture: Mixture, count: int) -> MergedMixture:
     """At most `count` of the mixture's own components, chosen at random with a fixed seed; vague ones are left out."""
-    part = mixture.take(_certain(mixture, count))
+    return _as_it_is(mixture.take(_certain(mixture, count)))
+
+
+def _as_it_is(mixture: Mixture) -> MergedMixture:
+    """Each component standing for itself."""
     return MergedMixture(
-        part.points,
-        part.covariances,
-        np.zeros_like(part.covariances),
-        part.weights / part.weights.sum(),
-        part.largest_variances,
+        mixture.points,
+        mixture.covariances,
+        np.zeros_like(mixture.covariances),
+        mixture.weights / mixture.weights.sum(),
+        mixture.largest_variances,
         mixture.dimension,
         mixture.isotropic,
     )

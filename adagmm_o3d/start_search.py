@@ -12,8 +12,12 @@ from .arguments import Array
 from .coarse import COARSE_BITS, MergedMixture
 from .expectation import MOST_UNMATCHED
 from .kernels import search as kernel
-from .kernels.compiling import LOG2_SCALE
+from .kernels.compiling import LOG2_SCALE, is_compiled
+from .stretches import run_in_stretches
 from .trace import Iteration
+
+# With fewer pairs than this for each thread, in all iterations, starting it costs more than it brings.
+PAIRS_PER_THREAD = 500_000
 
 
 @dataclass(frozen=True)
@@ -96,20 +100,28 @@ def run_starts(
     ends = np.empty((len(starts), kernel.END_COLUMNS))
     history = np.empty((len(starts), max(s.iterations for s in starts), kernel.HISTORY_COLUMNS))
     half, isotropic = 0.5 * source.dimension, source.isotropic and target.isotropic
-    kernel.search(
-        poses,
-        columns,
-        source.as_source(isotropic),
-        target.as_target(isotropic),
-        (source.dimension == 2, isotropic),
-        (2.0 * math.pi * LOG2_SCALE) ** half / volume,
-        (limits.floor, limits.least_unmatched, MOST_UNMATCHED),
-        limits.relative_rmse,
-        limits.accelerated,
-        limits.bits,
-        ends,
-        history,
-    )
+    sides = source.as_source(isotropic), target.as_target(isotropic)
+    world = (2.0 * math.pi * LOG2_SCALE) ** half / volume
+    bounds = limits.floor, limits.least_unmatched, MOST_UNMATCHED
+
+    def run(part: slice) -> None:
+        kernel.search(
+            poses[part],
+            columns[part],
+            *sides,
+            (source.dimension == 2, isotropic),
+            world,
+            bounds,
+            limits.relative_rmse,
+            limits.accelerated,
+            limits.bits,
+            ends[part],
+            history[part],
+        )
+
+    pairs = len(source.points) * len(target.points) * sum(s.iterations for s in starts)
+    # What has still to be compiled is compiled here, where Ctrl-C gets through.
+    run_in_stretches(run, len(starts), pairs // PAIRS_PER_THREAD if is_compiled(kernel.search) else 1)
     moved = _poses(poses)
     return [
         End(

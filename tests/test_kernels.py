@@ -7,6 +7,7 @@ import reference
 from mixtures import random_points_and_covariances, random_pose
 
 from adagmm_o3d.kernels.compiling import LOG2_SCALE
+from adagmm_o3d.kernels.convolved_pass import FEW_TILES
 from adagmm_o3d.kernels.convolved_rows import SHARE
 from adagmm_o3d.kernels.culling import CHUNK, CLUSTER, GROUP, RUN, TILE
 from adagmm_o3d.kernels.exp2 import exp2_float32
@@ -207,7 +208,8 @@ def test_the_variances_of_both_sides_reach_to_far_tiles():
 
 def test_tiles_out_of_reach_are_not_looked_at_though_others_of_their_group_are():
     rng = np.random.default_rng(1)
-    near, far = 0.01 * rng.normal(size=(TILE, 3)), [2.0, 0.0, 0.0] + 0.01 * rng.normal(size=(TILE, 3))
+    near = 0.01 * rng.normal(size=(TILE, 3))
+    far = [2.0, 0.0, 0.0] + 0.01 * rng.normal(size=(FEW_TILES * TILE, 3))
     target = make_mixture("target", np.concatenate([near, far]), None)
     loop = PairLoop(make_mixture("source", near + 1e-3, None), target)
     expected = loop.posterior_sums(np.eye(4), 1e-4, 0.1)

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from .compiling import FLAGS, source_stamp
+from .compiling import FLAGS, SERIAL_KERNEL_FLAGS, source_stamp
 
 # The state: ω, v, log σ, unmatched share.
 TURN_AND_SHIFT, LOG_SIGMA, UNMATCHED_SHARE = 6, 6, 7
@@ -58,8 +58,7 @@ def accelerated_step(residual, deviation, memory, step):
             known = min(known + 1, MEMORY)
     else:
         known = 0
-    factor = np.zeros((MEMORY, MEMORY))
-    share = np.zeros(MEMORY)
+    factor, share = np.empty((MEMORY, MEMORY), np.float64), np.empty(MEMORY, np.float64)
     trace = 0.0
     for a in range(known):
         share[a] = product(memory[a], residual, deviation)
@@ -114,7 +113,7 @@ def size(a, deviation):
 def _build(stamp):
     """`accelerated_step` as called from Python; `stamp` keeps its cache fresh."""
 
-    @njit(cache=True, nogil=True, **FLAGS)
+    @njit(**SERIAL_KERNEL_FLAGS)
     def accelerate(residual, deviation, memory, step):
         _ = stamp
         accelerated_step(residual, deviation, memory, step)

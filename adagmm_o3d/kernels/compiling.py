@@ -1,18 +1,23 @@
 """How the CPU kernels are compiled: the flags that make them vectorise, and a cache that cannot go stale."""
 
 import hashlib
+import logging
 import math
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from numba import njit
+from numba.core import event
 
 from . import gaussian
 
 # Each of these is needed for vector code, and none assumes that there are no NaN or infinities.
 FAST = {"reassoc", "contract", "arcp", "nsz"}
 FLAGS = {"fastmath": FAST, "error_model": "numpy"}
-KERNEL_FLAGS = {"parallel": True, "cache": True, "nogil": True, **FLAGS}
+SERIAL_KERNEL_FLAGS = {"cache": True, "nogil": True, **FLAGS}
+KERNEL_FLAGS = {"parallel": True, **SERIAL_KERNEL_FLAGS}
 # exp(-q/2) = 2**-(LOG2_SCALE q): the kernels know only powers of two.
 LOG2_SCALE = 0.5 / math.log(2.0)
 F0, F1 = np.float32(0.0), np.float32(1.0)
@@ -28,5 +33,28 @@ def source_stamp() -> int:
     return int(hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()[:15], 16)
 
 
+def is_compiled(kernel: Callable[..., None]) -> bool:
+    """Whether a kernel has been compiled, or loaded, in this process; with Numba's compiler switched off all are."""
+    return bool(getattr(kernel, "signatures", True))
+
+
+class _Announcement(event.Listener):
+    """Says once that kernels are being compiled, so that nobody takes the first registration for one that hangs."""
+
+    def on_start(self, event: event.Event) -> None:
+        if event.data["dispatcher"].py_func.__module__.startswith(__package__):
+            _announce()
+
+    def on_end(self, event: event.Event) -> None:
+        """What has ended is of no interest."""
+
+
+@cache
+def _announce() -> None:
+    _log.warning("compiling kernels for this machine, once; this takes about half a minute")
+
+
+_log = logging.getLogger("adagmm_o3d")
+event.register("numba:compile", _Announcement())
 # The formulas for the CPU.
 formulas = gaussian.build(njit(**FLAGS))

@@ -37,6 +37,8 @@ LANES = TILE
 # Rows a large power of two apart would all fall on the same few lines of the cache.
 SAME_LINES = 256
 STRIDE = RUN + 2 * LANES
+# So few tiles of a group are all taken as soon as one is in reach: to pick points costs more than the pairs.
+FEW_TILES = 8
 # Numba compiles a function anew for a literal.
 ZERO, ONE = np.int64(0), np.int64(1)
 
@@ -78,11 +80,15 @@ def gather(target, index, count, near):
     padded = (count + LANES - 1) // LANES * LANES
     for r in range(target.shape[0]):
         for i in range(count):
-            near[r, i] = target[r, index[i]]
-        # The matrix of a point that weighs nothing only has to be invertible: the identity.
-        value = F1 if r == MATRIX or r == MATRIX + 3 or r == MATRIX + 5 else F0
+            near[r, i] = target[r, np.uint64(index[i])]
         for i in range(count, padded):
-            near[r, i] = value
+            near[r, i] = F0
+    # The matrix of a point that weighs nothing only has to be invertible: the identity.
+    for i in range(count, padded):
+        near[MATRIX, i] = F1
+        if target.shape[0] > MATRIX + 1:
+            near[MATRIX + 3, i] = F1
+            near[MATRIX + 5, i] = F1
     return padded
 
 
@@ -129,7 +135,7 @@ def convolved_pass(band, bands, pose, source, target, tiles, kind, uniform, mutu
     all_rows = np.empty((CLUSTER, ROW_SUMS), np.float64)
     beyond, beyond_points = np.empty(GROUP, np.float32), np.empty(TILE, np.float32)
     beyond_groups, groups = np.empty(group_count, np.float32), np.empty(group_count, np.int64)
-    index = np.empty(RUN, np.int32)
+    index = np.empty(RUN, np.uint32)
     near = np.empty((packed.shape[0], STRIDE), np.float32)
     near_columns = np.empty(RUN, np.float32)
     for i in range(TOTAL_SUMS):
@@ -185,7 +191,7 @@ def convolved_pass(band, bands, pose, source, target, tiles, kind, uniform, mutu
                 hits = reach(
                     first, last, lo, hi, variance, own_bits, tile_lo, tile_hi, tile_variance, tile_bits, beyond
                 )  # fmt: skip
-                if hits < last - first:
+                if hits < last - first and (hits == 0 or last - first > FEW_TILES):
                     if hits > 0:
                         count = points_in_reach(
                             first, last, lo, hi, variance, own_bits,
@@ -198,7 +204,7 @@ def convolved_pass(band, bands, pose, source, target, tiles, kind, uniform, mutu
             if gathered:
                 if densities_only:
                     for k in range(count):
-                        columns[index[k]] += near_columns[k]
+                        columns[np.uint64(index[k])] += near_columns[k]
                 count = ZERO
         for k in range(m1 - m0):
             m = m0 + k

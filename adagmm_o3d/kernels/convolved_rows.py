@@ -1,15 +1,17 @@
 """Loops over pairs weighed by convolved Gaussians, N(d; 0, Σx + R Σy Rᵀ): the density of x - y at zero.
 
-The pairs are those of the few source points of a cluster with a run i..j of the packed target. Each loop comes for full
-covariances, for those of the plane (z = 0) and for multiples of the identity. `moments` are what the M-step needs,
-`densities` is how dense each mixture is at the points of the other.
+The pairs are those of the few source points of a cluster with a run i..j, whole tiles, of the packed target. Each loop
+comes for full covariances, for those of the plane (z = 0) and for multiples of the identity. `moments` are what the
+M-step needs, `densities` is how dense each mixture is at the points of the other.
 """
 
 import math
 
+import numpy as np
 from numba import njit
 
 from .compiling import F0, F1, FLAGS, formulas
+from .culling import TILE
 from .exp2 import exp2_float32, exp2_parts
 from .layout import DENSITY, ENERGY, PRECISION, PULL, WEIGHT
 
@@ -18,6 +20,13 @@ adjugate, symmetric_product = formulas.adjugate, formulas.symmetric_product
 
 # The rows of a packed target: coordinates, share of the mixture, factor of the weight, matrix at σ (1 or 6 rows).
 X, SHARE, FACTOR, MATRIX = 0, 3, 4, 5
+WHOLE = np.uint64(TILE)
+
+
+@njit(**FLAGS)
+def whole_tiles(i, j):
+    """How many points i..j are, said so that the compiler knows that no part of a vector is left over."""
+    return np.uint64(j - i) // WHOLE * WHOLE
 
 
 @njit(**FLAGS)
@@ -48,7 +57,7 @@ def moments_full(target, i, j, y, turned, rows):
         u0 = F0
         u1 = F0
         u2 = F0
-        for n in range(x0.shape[0]):
+        for n in range(whole_tiles(i, j)):
             dx = y0 - x0[n]
             dy = y1 - x1[n]
             dz = y2 - x2[n]
@@ -106,7 +115,7 @@ def moments_planar(target, i, j, y, turned, rows):
         p3 = F0
         u0 = F0
         u1 = F0
-        for n in range(x0.shape[0]):
+        for n in range(whole_tiles(i, j)):
             dx = y0 - x0[n]
             dy = y1 - x1[n]
             s0 = a0[n] + b0
@@ -153,7 +162,7 @@ def moments_isotropic(target, i, j, planar, y, turned, rows):
         u0 = F0
         u1 = F0
         u2 = F0
-        for n in range(x0.shape[0]):
+        for n in range(whole_tiles(i, j)):
             dx = y0 - x0[n]
             dy = y1 - x1[n]
             dz = y2 - x2[n]
@@ -195,7 +204,7 @@ def densities_full(target, i, j, own, y, turned, columns, rows):
         y0, y1, y2, weight = y[0, k], y[1, k], y[2, k], own[k]
         b0, b1, b2, b3, b4, b5 = turned[k, 0], turned[k, 1], turned[k, 2], turned[k, 3], turned[k, 4], turned[k, 5]
         density = F0
-        for n in range(x0.shape[0]):
+        for n in range(whole_tiles(i, j)):
             dx = y0 - x0[n]
             dy = y1 - x1[n]
             dz = y2 - x2[n]
@@ -222,7 +231,7 @@ def densities_planar(target, i, j, own, y, turned, columns, rows):
         y0, y1, weight = y[0, k], y[1, k], own[k]
         b0, b1, b3 = turned[k, 0], turned[k, 1], turned[k, 3]
         density = F0
-        for n in range(x0.shape[0]):
+        for n in range(whole_tiles(i, j)):
             dx = y0 - x0[n]
             dy = y1 - x1[n]
             s0 = a0[n] + b0
@@ -244,7 +253,7 @@ def densities_isotropic(target, i, j, planar, own, y, turned, columns, rows):
     for k in range(rows.shape[0]):
         y0, y1, y2, b, weight = y[0, k], y[1, k], y[2, k], turned[k, 0], own[k]
         density = F0
-        for n in range(x0.shape[0]):
+        for n in range(whole_tiles(i, j)):
             dx = y0 - x0[n]
             dy = y1 - x1[n]
             dz = y2 - x2[n]

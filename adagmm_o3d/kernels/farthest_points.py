@@ -3,13 +3,13 @@
 import numpy as np
 from numba import njit
 
-from .compiling import FLAGS, source_stamp
+from .compiling import SERIAL_KERNEL_FLAGS, source_stamp
 
 
 def _build(stamp):
     """The kernel that is called from Python; `stamp` keeps its cache fresh."""
 
-    @njit(cache=True, nogil=True, **FLAGS)
+    @njit(**SERIAL_KERNEL_FLAGS)
     def farthest_points(points, count, nearest):
         """Choose `count` of (3, n) points, each the farthest from those before, the first the farthest from the origin.
 
@@ -17,10 +17,11 @@ def _build(stamp):
         """
         _ = stamp
         n = points.shape[1]
-        distances = np.full(n, np.inf)
+        distances = np.empty(n, np.float64)
         chosen = 0
         farthest = -1.0
         for i in range(n):
+            distances[i] = np.inf
             d = points[0, i] ** 2 + points[1, i] ** 2 + points[2, i] ** 2
             if d > farthest:
                 farthest, chosen = d, i

@@ -1,13 +1,14 @@
-"""The whole EM loop compiled, serial, for many starts at once on small mixtures.
+"""The whole EM loop compiled, serial, for many starts on small mixtures.
 
 One start is a few hundred thousand pairs in all: less than it would cost to come back to Python after every iteration.
-Starts run in parallel and independently of each other.
+Starts are independent of each other. They are handed to threads in Python: a parallel kernel would be compiled several
+times over.
 """
 
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from .acceleration import (
     LOG_SIGMA,
@@ -18,7 +19,7 @@ from .acceleration import (
     accelerated_step,
     forget,
 )
-from .compiling import FLAGS, KERNEL_FLAGS, LOG2_SCALE, source_stamp
+from .compiling import FLAGS, LOG2_SCALE, SERIAL_KERNEL_FLAGS, source_stamp
 from .convolved_pass import ONE, ZERO, convolved_pass
 from .convolved_rows import MATRIX, SHARE
 from .layout import GRADIENT, TOTAL_ENERGY, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
@@ -38,7 +39,7 @@ def solve(total, planar, delta):
     """δ = -H⁻¹ g by Cholesky, on the free directions; `total` as in layout. Undetermined directions get no step."""
     n = 3 if planar else 6
     first = 2 if planar else 0
-    factor = np.zeros((n, n))
+    factor = np.empty((n, n), np.float64)
     trace = 0.0
     for i in range(n):
         trace += total[_packed_index(first + i, first + i)]
@@ -51,15 +52,15 @@ def solve(total, planar, delta):
                 factor[i, i] = math.sqrt(max(s + 1e-9 * trace, 1e-300))
             else:
                 factor[i, j] = s / factor[j, j]
-    x = np.empty(n)
+    for i in range(TURN_AND_SHIFT):
+        delta[i] = 0.0
     for i in range(n):
         s = -total[GRADIENT + first + i]
         for k in range(i):
-            s -= factor[i, k] * x[k]
-        x[i] = s / factor[i, i]
-    delta[:TURN_AND_SHIFT] = 0.0
+            s -= factor[i, k] * delta[first + k]
+        delta[first + i] = s / factor[i, i]
     for i in range(n - 1, -1, -1):
-        s = x[i]
+        s = delta[first + i]
         for k in range(i + 1, n):
             s -= factor[k, i] * delta[first + k]
         delta[first + i] = s / factor[i, i]
@@ -98,7 +99,7 @@ def at_scale(values, spreads, sigma, scaled, first):
             scaled[first + r, i] = sigma * values[r, i] + spreads[r, i]
 
 
-# Part of its only caller: each compiled function that holds the loops over pairs takes seconds of its own to compile.
+# Parts of their only callers: every compiled function that holds the loops over pairs takes seconds to compile.
 @njit(inline="always", **FLAGS)
 def one_pass(pose, sigma, uniform, source, target, kind, work, total):
     """All pairs at `pose`: fills `total`, or where `kind` says densities only, the densities in `work`."""
@@ -121,15 +122,17 @@ def one_pass(pose, sigma, uniform, source, target, kind, work, total):
     )  # fmt: skip
 
 
-@njit(**FLAGS)
+@njit(inline="always", **FLAGS)
 def run_start(pose, start, source, target, kind, world, bounds, relative_rmse, accelerated, bits, end, history):
     """Run one start, serially; see `search`."""
     floor, least, greatest = bounds
     planar, isotropic = kind
     dimension = 2 if planar else 3
     m, n = source[0].shape[1], target[1].shape[1]
-    all_bits = np.full(max(m, n), bits, np.float32)
-    columns, densities = np.empty(target[0].shape[1], np.float32), np.empty(m)
+    all_bits = np.empty(max(m, n), np.float32)
+    for i in range(len(all_bits)):
+        all_bits[i] = bits
+    columns, densities = np.empty(target[0].shape[1], np.float32), np.empty(m, np.float64)
     work = (
         np.empty((target[1].shape[0], m), np.float32),
         target[0].copy(),
@@ -142,9 +145,9 @@ def run_start(pose, start, source, target, kind, world, bounds, relative_rmse, a
         all_bits,
     )
     pose32 = np.empty(12, np.float32)
-    total = np.empty(TOTAL_SUMS)
-    residual, taken = np.empty(STATE), np.empty(STATE)
-    memory = np.zeros((2 * MEMORY + 3, STATE))
+    total = np.empty(TOTAL_SUMS, np.float64)
+    residual, taken = np.empty(STATE, np.float64), np.empty(STATE, np.float64)
+    memory = np.empty((2 * MEMORY + 3, STATE), np.float64)
     forget(memory)
     sigma, unmatched = start[SIGMA], start[UNMATCHED]
     iteration, still = 0, False
@@ -201,7 +204,7 @@ def run_start(pose, start, source, target, kind, world, bounds, relative_rmse, a
 def _build(stamp):
     """The kernel that is called from Python; `stamp` keeps its cache fresh."""
 
-    @njit(**KERNEL_FLAGS)
+    @njit(**SERIAL_KERNEL_FLAGS)
     def search(poses, starts, source, target, kind, world, bounds, relative_rmse, accelerated, bits, ends, history):
         """Run every start; `poses` (S, 12) move, `ends` (S, END_COLUMNS) tell where they came to.
 
@@ -211,7 +214,7 @@ def _build(stamp):
         history : (S, most iterations, HISTORY_COLUMNS).
         """
         _ = stamp
-        for s in prange(starts.shape[0]):
+        for s in range(starts.shape[0]):
             run_start(
                 poses[s], starts[s], source, target, kind, world, bounds, relative_rmse, accelerated, bits,
                 ends[s], history[s],

@@ -74,9 +74,15 @@ class Mixture:
             self.isotropic,
             self.kept,
         )
-        for known in {"variances", "largest_variances"} & self.__dict__.keys():
-            taken.__dict__[known] = self.__dict__[known][index]
-        return taken
+        known = {
+            name: self.__dict__[name][index] for name in ("variances", "largest_variances") if name in self.__dict__
+        }
+        return taken.knowing(**known)
+
+    def knowing(self, **known: Array) -> Mixture:
+        """Itself, with `variances` and `largest_variances` that need not be found any more."""
+        self.__dict__.update(known)
+        return self
 
     def points_at(self, index: NDArray[np.integer]) -> Array:
         """(k, 3) the chosen points."""
@@ -120,22 +126,24 @@ class Mixture:
 
     def centroid(self, weights: Array) -> Array:
         """(3,) mean of the points with (n,) weights."""
-        return np.average(self.points, axis=0, weights=weights)
+        return np.asarray((self.points * weights[:, None]).sum(axis=0) / weights.sum(), np.float64)
 
     def radius(self, centre: Array, weights: Array) -> float:
         """Root mean square distance of the points from `centre`, with (n,) weights."""
         counted = weights > 0.0
         squares = ((self.points[counted] - centre) ** 2).sum(axis=1)
-        return math.sqrt(np.average(squares, weights=weights[counted]))
+        return math.sqrt((squares * weights[counted]).sum() / weights[counted].sum())
 
     def normalised(self, centre: Array, scale: float, unit: float, relative: Array) -> Mixture:
         """Points from `centre` in units of `scale`, covariances in units of `unit`, with `relative` (n,) for the
         geometric mean of their variances."""
-        covariances = (self.covariances / unit) * (relative / (self.variances / unit))[:, None, None]
+        factor = relative / (self.variances / unit)
+        covariances = (self.covariances / unit) * factor[:, None, None]
         if self.dimension == 2:
             covariances[:, 2, 2] = 1.0
         points = (self.points - centre) / scale
-        return Mixture(points, covariances, self.weights, self.dimension, self.isotropic, self.kept)
+        mixture = Mixture(points, covariances, self.weights, self.dimension, self.isotropic, self.kept)
+        return mixture.knowing(variances=relative, largest_variances=self.largest_variances / unit * factor)
 
 
 def make_mixture(
@@ -165,12 +173,17 @@ def make_mixture(
     usable: NDArray[np.bool_] = np.asarray(np.isfinite(c).all(axis=(1, 2)))
     check_usable(name, usable)
     p, c, w = p[usable], c[usable], w[usable]
-    isotropic = _check_positive_definite(name, c, usable)
+    eigenvalues = _check_positive_definite(name, c, usable)
     check_count(name, len(p))
     check_spread(name, p)
     if dimension == 2:
         p, c = _lift(p, c)
-    return Mixture(np.ascontiguousarray(p), np.ascontiguousarray(c), w, dimension, isotropic, usable)
+    isotropic = eigenvalues is None
+    mixture = Mixture(np.ascontiguousarray(p), np.ascontiguousarray(c), w, dimension, isotropic, usable)
+    if eigenvalues is None:
+        return mixture
+    variances = np.exp(np.log(eigenvalues).sum(axis=1) / dimension)
+    return mixture.knowing(variances=variances, largest_variances=eigenvalues[:, -1].copy())
 
 
 def _check_covariances(name: str, covariances: ArrayLike | None, n: int, dimension: int) -> Array:
@@ -189,15 +202,18 @@ def _check_weights(name: str, weights: ArrayLike | None, n: int) -> Array:
     return w
 
 
-def _check_positive_definite(name: str, c: Array, usable: NDArray[np.bool_]) -> bool:
-    """Raise unless every covariance is symmetric positive definite; returns whether all are isotropic."""
+def _check_positive_definite(name: str, c: Array, usable: NDArray[np.bool_]) -> Array | None:
+    """Raise unless every covariance is symmetric positive definite; thin ones are thickened.
+
+    Returns their (n, D) eigenvalues, ascending, or None where all are isotropic.
+    """
     index = np.flatnonzero(usable)
     dimension = c.shape[1]
     diagonal = np.einsum("nii->ni", c)
     off = c[:, ~np.eye(dimension, dtype=bool)]
     if (off == 0).all() and (diagonal == diagonal[:, :1]).all():
         bad = np.flatnonzero(diagonal[:, 0] <= 0)
-        isotropic = True
+        eigenvalues = None
     else:
         scale = np.abs(c).max(axis=(1, 2))
         skew = np.abs(c - c.transpose(0, 2, 1)).max(axis=(1, 2))
@@ -205,22 +221,21 @@ def _check_positive_definite(name: str, c: Array, usable: NDArray[np.bool_]) -> 
         if len(crooked):
             refuse_crooked(name, index[crooked])
         c[:] = 0.5 * c + 0.5 * c.transpose(0, 2, 1)
-        eigenvalues = np.linalg.eigvalsh(c)
+        eigenvalues = np.asarray(np.linalg.eigvalsh(c), np.float64)
         bad = np.flatnonzero(eigenvalues[:, 0] <= LEAST_POSITIVE * eigenvalues[:, -1])
-        isotropic = False
         thin = np.flatnonzero(eigenvalues[:, 0] < THINNEST * eigenvalues[:, -1])
         if not len(bad) and len(thin):
-            c[thin] = _thickened(c[thin])
+            c[thin], eigenvalues[thin] = _thickened(c[thin])
     if len(bad):
         refuse_indefinite(name, index[bad])
-    return isotropic
+    return eigenvalues
 
 
-def _thickened(c: Array) -> Array:
-    """Covariances with no principal variance below THINNEST times the largest."""
+def _thickened(c: Array) -> tuple[Array, Array]:
+    """Covariances with no principal variance below THINNEST times the largest, and their eigenvalues."""
     variances, axes = np.linalg.eigh(c)
     variances = np.maximum(variances, THINNEST * variances[:, -1:])
-    return (axes * variances[:, None, :]) @ axes.transpose(0, 2, 1)
+    return (axes * variances[:, None, :]) @ axes.transpose(0, 2, 1), variances
 
 
 def _lift(p: Array, c: Array) -> tuple[Array, Array]:

@@ -11,6 +11,9 @@ from .culling import GROUP, TILE
 
 Float32 = NDArray[np.float32]
 
+# The numbers of ten bits with two zeros after each.
+SPREAD_BITS = np.array([sum((n >> bit & 1) << 3 * bit for bit in range(10)) for n in range(1024)], np.uint32)
+
 
 class Tiles(NamedTuple):
     """Boxes of runs of TILE points and of groups of GROUP tiles, (3, count), with the reach of what is in them."""
@@ -46,14 +49,7 @@ def morton_order(points: NDArray[np.float64], last: NDArray[np.bool_]) -> NDArra
     """(n,) the order of (n, 3) points along a Z-curve; points marked `last` come after all others."""
     lo = points.min(axis=0)
     extent = float((points.max(axis=0) - lo).max()) or 1.0
-    cells = _spread_bits(((points - lo) * (1023.0 / extent)).astype(np.uint32))
+    cells = SPREAD_BITS[((points - lo) * (1023.0 / extent)).astype(np.intp)]
     code = cells[:, 0] | cells[:, 1] << np.uint32(1) | cells[:, 2] << np.uint32(2)
     code |= last.astype(np.uint32) << np.uint32(30)
     return np.argsort(code, kind="stable")
-
-
-def _spread_bits(v: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """Ten bits, two zeros after each."""
-    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
-        v = (v | (v << np.uint32(shift))) & np.uint32(mask)
-    return v

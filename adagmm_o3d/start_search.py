@@ -12,8 +12,8 @@ from .arguments import Array
 from .coarse import COARSE_BITS, MergedMixture
 from .expectation import MOST_UNMATCHED
 from .kernels import search as kernel
-from .kernels.compiling import LOG2_SCALE, is_compiled
-from .stretches import run_in_stretches
+from .kernels.compiling import LOG2_SCALE
+from .kernels.stretches import run_in_stretches
 from .trace import Iteration
 
 # With fewer pairs than this for each thread, in all iterations, starting it costs more than it brings.
@@ -104,7 +104,8 @@ def run_starts(
     world = (2.0 * math.pi * LOG2_SCALE) ** half / volume
     bounds = limits.floor, limits.least_unmatched, MOST_UNMATCHED
 
-    def run(part: slice) -> None:
+    def run(first: int, last: int) -> None:
+        part = slice(first, last)
         kernel.search(
             poses[part],
             columns[part],
@@ -120,8 +121,7 @@ def run_starts(
         )
 
     pairs = len(source.points) * len(target.points) * sum(s.iterations for s in starts)
-    # What has still to be compiled is compiled here, where Ctrl-C gets through.
-    run_in_stretches(run, len(starts), pairs // PAIRS_PER_THREAD if is_compiled(kernel.search) else 1)
+    run_in_stretches(kernel.search, run, len(starts), pairs // PAIRS_PER_THREAD)
     moved = _poses(poses)
     return [
         End(

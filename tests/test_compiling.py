@@ -3,12 +3,13 @@
 import os
 import subprocess
 import sys
+import threading
 
 import numba
 import pytest
 
 from adagmm_o3d.kernels.compiling import is_compiled
-from adagmm_o3d.stretches import run_in_stretches
+from adagmm_o3d.kernels.stretches import run_in_stretches
 
 CHOOSE = """
 import numpy as np
@@ -42,19 +43,39 @@ def test_what_is_not_compiled_by_numba_needs_no_compiling():
 def test_stretches_cover_everything_once(count, threads):
     items = list(range(count))
     run = []
-    run_in_stretches(lambda part: run.append(items[part]), count, threads)
+    run_in_stretches(len, lambda first, last: run.append(items[first:last]), count, threads)
     assert all(run)
     assert sorted(item for part in run for item in part) == items
     allowed = min(threads, count, numba.get_num_threads())
     assert len(run) == (1 if allowed <= 1 else min(count, 2 * allowed))
 
 
-def test_what_goes_wrong_on_a_stretch_is_heard():
-    def run(part):
-        if part.start > 0:
-            raise ValueError("on a stretch")
+@pytest.mark.skipif(numba.get_num_threads() == 1, reason="Numba has one thread here")
+def test_stretches_are_shared_by_threads_and_what_goes_wrong_on_another_is_heard():
+    both = threading.Barrier(2, timeout=60)
 
-    if numba.get_num_threads() == 1:
-        pytest.skip("Numba has one thread here")
-    with pytest.raises(ValueError, match="on a stretch"):
-        run_in_stretches(run, 8, 2)
+    def run(first, last):
+        both.wait()
+        if threading.current_thread() is not threading.main_thread():
+            raise ValueError("elsewhere")
+
+    with pytest.raises(ValueError, match="elsewhere"):
+        run_in_stretches(len, run, 2, 2)
+
+
+def test_an_interrupt_leaves_the_other_stretches_alone():
+    run = []
+
+    def interrupted(first, last):
+        run.append(first)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_in_stretches(len, interrupted, 100, 2)
+    assert len(run) <= 2
+
+
+def test_what_is_not_compiled_yet_is_compiled_on_this_thread():
+    run = []
+    run_in_stretches(numba.njit(lambda x: x), lambda *stretch: run.append((threading.current_thread(), *stretch)), 8, 2)
+    assert run == [(threading.main_thread(), 0, 8)]

@@ -20,6 +20,7 @@ from .convolved_rows import FACTOR, MATRIX
 from .culling import CHUNK, CLUSTER
 from .layout import GRADIENT, HESSIAN, TOTAL_ENERGY, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
 from .nearest import nearest_sq
+from .stretches import run_in_stretches
 from .tiles import make_tiles, morton_order
 
 Float32 = NDArray[np.float32]
@@ -218,8 +219,7 @@ class PairLoop:
         matrices, target_matrices, packed = self._convolved
         np.multiply(target_matrices, scale, out=packed[MATRIX:, : len(target.order)])
         densities = np.empty(len(source.order))
-        self._run(
-            convolution_sums,
+        arguments = (
             _packed_pose(pose),
             (source.points, matrices * scale, source.weights, source.weights32, source.variances * scale, source.bits),
             (packed, target.variances * scale, target.bits),
@@ -231,6 +231,11 @@ class PairLoop:
             partials,
             densities,
         )
+
+        def run(first: int, last: int) -> None:
+            convolution_sums(first, last, *arguments)
+
+        run_in_stretches(convolution_sums, run, self._bands, self._threads)
         return densities / self._unit
 
     def _run(self, kernel, *args) -> None:

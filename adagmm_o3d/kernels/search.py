@@ -1,8 +1,7 @@
 """The whole EM loop compiled, serial, for many starts on small mixtures.
 
 One start is a few hundred thousand pairs in all: less than it would cost to come back to Python after every iteration.
-Starts are independent of each other. They are handed to threads in Python: a parallel kernel would be compiled several
-times over.
+Starts are independent of each other; see `stretches`.
 """
 
 import math

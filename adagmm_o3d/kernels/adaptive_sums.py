@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit, prange
 
 from .compiling import F0, F1, FLAGS, KERNEL_FLAGS, formulas, source_stamp
-from .culling import CLUSTER, CLUSTERS_PER_CHUNK, cluster_box, largest, next_run
+from .culling import CLUSTER, CLUSTERS_PER_CHUNK, RUN, cluster_box, largest, next_run
 from .exp2 import exp2_float32
 from .layout import ENERGY, PRECISION, PULL, ROW_SUMS, TURN, WEIGHT
 from .normal_equations import add_row
@@ -81,11 +81,21 @@ def rows_anisotropic(x, a, amplitudes, i, j, y, turned, rows):
 
 
 @njit(**FLAGS)
-def rows_isotropic(x, precisions, amplitudes, i, j, y, turned, rows):
-    """The same where every precision is a multiple of the identity: nothing turns, three directions share one sum."""
+def rows_isotropic(x, precisions, amplitudes, i, j, y, turned, weights, rows):
+    """The same where every precision is a multiple of the identity: nothing turns, three directions share one sum.
+
+    `weights` is room for those of so many pairs: the constants of the exponentials and the sums would not fit into the
+    registers together.
+    """
     x0, x1, x2, a, amplitude = x[0, i:j], x[1, i:j], x[2, i:j], precisions[0, i:j], amplitudes[i:j]
     for k in range(rows.shape[0]):
         y0, y1, y2, b = y[0, k], y[1, k], y[2, k], turned[k, 0]
+        for n in range(x0.shape[0]):
+            dx = y0 - x0[n]
+            dy = y1 - x1[n]
+            dz = y2 - x2[n]
+            d2 = -dot(dx, dy, dz, dx, dy, dz)
+            weights[n] = amplitude[n] * (exp2_float32(a[n] * d2) + exp2_float32(b * d2))
         w = F0
         e = F0
         p = F0
@@ -96,11 +106,10 @@ def rows_isotropic(x, precisions, amplitudes, i, j, y, turned, rows):
             dx = y0 - x0[n]
             dy = y1 - x1[n]
             dz = y2 - x2[n]
-            d2 = dot(dx, dy, dz, dx, dy, dz)
-            c = amplitude[n] * (exp2_float32(-a[n] * d2) + exp2_float32(-b * d2))
+            c = weights[n]
             f = c * (a[n] + b)
             w += c
-            e += f * d2
+            e += f * dot(dx, dy, dz, dx, dy, dz)
             p += c * a[n]
             u0 += f * dx
             u1 += f * dy
@@ -133,6 +142,7 @@ def _build(stamp):
             lo = np.empty(3, np.float32)
             hi = np.empty(3, np.float32)
             turned = np.empty((CLUSTER, 6), np.float32)
+            weights = np.empty(RUN, np.float32)
             for cluster in range(chunk * CLUSTERS_PER_CHUNK, (chunk + 1) * CLUSTERS_PER_CHUNK):
                 m0 = cluster * CLUSTER
                 m1 = min(m_all, m0 + CLUSTER)
@@ -149,7 +159,7 @@ def _build(stamp):
                     if i >= j:
                         break
                     if isotropic:
-                        rows_isotropic(x, a, target_amplitudes, i, j, y, turned, rows)
+                        rows_isotropic(x, a, target_amplitudes, i, j, y, turned, weights, rows)
                     else:
                         rows_anisotropic(x, a, target_amplitudes, i, j, y, turned, rows)
                 for m in range(m0, m1):

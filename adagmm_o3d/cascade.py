@@ -108,6 +108,7 @@ class Cascade:
         ends = joined(sketched, self._run_merged(again))
         kept = [end for end in distinct([merged, *ends], KEPT_MERGED, APART_MERGED) if end is not merged]
         if self.sampled(RANKING) is self._merged:
+            # On the same points there is nothing left to rank them by.
             return kept[:KEPT_RANKING]
         again = [Start(end.pose, 2.0 * MERGED_LIMITS.floor, end.unmatched, 0.65, 6, follow=0.0) for end in kept]
         ranked = run_starts(

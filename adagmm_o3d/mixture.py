@@ -119,10 +119,7 @@ class Mixture:
         """(n,) the largest eigenvalue of each covariance: how far the point reaches."""
         if self.isotropic:
             return self.covariances[:, 0, 0].copy()
-        if self.dimension == 2:
-            xx, xy, yy = self.covariances[:, 0, 0], self.covariances[:, 0, 1], self.covariances[:, 1, 1]
-            return 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
-        return np.asarray(np.linalg.eigvalsh(self.covariances)[:, -1], np.float64)
+        return _principal_variances(self.covariances[:, : self.dimension, : self.dimension])[:, -1]
 
     def centroid(self, weights: Array) -> Array:
         """(3,) mean of the points with (n,) weights."""
@@ -221,7 +218,7 @@ def _check_positive_definite(name: str, c: Array, usable: NDArray[np.bool_]) -> 
         if len(crooked):
             refuse_crooked(name, index[crooked])
         c[:] = 0.5 * c + 0.5 * c.transpose(0, 2, 1)
-        eigenvalues = np.asarray(np.linalg.eigvalsh(c), np.float64)
+        eigenvalues = _principal_variances(c)
         bad = np.flatnonzero(eigenvalues[:, 0] <= LEAST_POSITIVE * eigenvalues[:, -1])
         thin = np.flatnonzero(eigenvalues[:, 0] < THINNEST * eigenvalues[:, -1])
         if not len(bad) and len(thin):
@@ -229,6 +226,15 @@ def _check_positive_definite(name: str, c: Array, usable: NDArray[np.bool_]) -> 
     if len(bad):
         refuse_indefinite(name, index[bad])
     return eigenvalues
+
+
+def _principal_variances(c: Array) -> Array:
+    """(n, D) ascending eigenvalues of (n, D, D) covariances."""
+    if c.shape[1] == 3:
+        return np.asarray(np.linalg.eigvalsh(c), np.float64)
+    xx, xy, yy = c[:, 0, 0], c[:, 0, 1], c[:, 1, 1]
+    mean, deviation = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    return np.stack([mean - deviation, mean + deviation], axis=1)
 
 
 def _thickened(c: Array) -> tuple[Array, Array]:

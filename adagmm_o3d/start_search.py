@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,8 +20,7 @@ from .trace import Iteration
 PAIRS_PER_THREAD = 500_000
 
 
-@dataclass(frozen=True)
-class Start:
+class Start(NamedTuple):
     """One start: a pose (4, 4), and how EM runs from it.
 
     fastest : the share of itself to which σ may fall in an iteration.   follow : 1 keeps σ from falling below what the

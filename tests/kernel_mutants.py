@@ -15,7 +15,7 @@ CONVOLVED = [
     "tests/test_search_kernel.py",
     "-k",
     f"in_reach or out_of_reach or (posterior_sums and ({SIZES})) or filled or gathered or groups"
-    " or variances_of_both or first_of_far or step_on_the_naive",
+    " or few_tiles or variances_of_both or first_of_far or step_on_the_naive",
 ]
 NEAREST = ["tests/test_kernels.py", "-k", "(nearest and not 500-2000) or farthest_from_any"]
 CULLING = ["tests/test_culling.py", *KERNELS]
@@ -168,8 +168,7 @@ CPU = {
         ("else MATRIX, n:] = 1.0", "else MATRIX, n:] = 0.0"),
         ("target[r, np.uint64(index[i])]", "target[r, np.uint64(index[0])]"),
         ("near[r, i] = F0", "near[r, i] = F1"),
-        ("near[MATRIX, i] = F1", "near[MATRIX, i] = F0"),
-        ("near[MATRIX + 3, i] = F1", "near[MATRIX + 3, i] = F0"),
+        ("padded):\n        near[MATRIX, i]", "count):\n        near[MATRIX, i]"),
         ("n0, n1 = t * TILE, min(variances.shape[0], (t + 1) * TILE)", "n0, n1 = t * TILE, min(variances.shape[0], t)"),
         ("index[count] = n", "index[count] = n0"),
         ("count += beyond_points[n - n0] < F0", "count += 1"),

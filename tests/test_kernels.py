@@ -178,11 +178,12 @@ def test_more_points_in_reach_than_are_gathered_at_once(dimension, sigma):
 def test_what_tiles_are_filled_up_with_says_nothing(dimension, in_reach):
     # A source so sharp that its own covariances have no determinant in float32; the sums of both sides' have.
     rng = np.random.default_rng(10)
-    factors = rng.normal(size=(TILE + 4, dimension, dimension))
+    n = TILE + 4 if in_reach == "all" else (FEW_TILES + 1) * TILE + 4  # of more tiles than a few, points are picked
+    factors = rng.normal(size=(n, dimension, dimension))
     covariances = np.eye(dimension) + 0.1 * factors @ factors.transpose(0, 2, 1)
     sigma, uniform = 1e-7 if dimension == 3 else 1e-13, 0.05
-    target = rng.normal(size=(TILE + 4, dimension)) * (1.0 if in_reach == "some" else np.sqrt(sigma))
-    source = target[:5] + 0.3 * np.sqrt(sigma) * rng.normal(size=(5, dimension))
+    target = rng.normal(size=(n, dimension)) * (1.0 if in_reach == "some" else np.sqrt(sigma))
+    source = target[0] + 0.3 * np.sqrt(sigma) * rng.normal(size=(5, dimension))
     sharp = 1e-7 * covariances[:5]
     loop = PairLoop(make_mixture("source", source, sharp), make_mixture("target", target, covariances))
     sums = loop.posterior_sums(np.eye(4), sigma, uniform)
@@ -217,6 +218,20 @@ def test_tiles_out_of_reach_are_not_looked_at_though_others_of_their_group_are()
     sums = loop.posterior_sums(np.eye(4), 1e-4, 0.1)
     np.testing.assert_array_equal(sums.hessian, expected.hessian)
     np.testing.assert_array_equal(sums.column_densities, expected.column_densities)
+
+
+def test_of_few_tiles_all_are_looked_at_if_any_is_in_reach():
+    rng = np.random.default_rng(1)
+    left, right = (place + 0.01 * rng.normal(size=(TILE, 3)) for place in ([-2.0, 0.0, 0.0], [2.0, 0.0, 0.0]))
+    target = make_mixture("target", np.concatenate([left, right]), None)
+    between, at_one = (
+        PairLoop(make_mixture("source", place + 1e-3, None), target)
+        for place in (left + np.array([2.0, 0.0, 0.0]), left)
+    )
+    for loop in between, at_one:
+        loop._convolved[2][SHARE, TILE:] = np.nan
+    assert np.isfinite(between.posterior_sums(np.eye(4), 1e-4, 0.1).row_weights).all()
+    assert np.isnan(at_one.posterior_sums(np.eye(4), 1e-4, 0.1).row_weights).all()
 
 
 def test_the_first_of_far_tiles_behind_a_group_left_out_is_seen():

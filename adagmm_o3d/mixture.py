@@ -212,12 +212,12 @@ def _check_positive_definite(name: str, c: Array, usable: NDArray[np.bool_]) -> 
         bad = np.flatnonzero(diagonal[:, 0] <= 0)
         eigenvalues = None
     else:
-        scale = np.abs(c).max(axis=(1, 2))
-        skew = np.abs(c - c.transpose(0, 2, 1)).max(axis=(1, 2))
-        crooked = np.flatnonzero(skew > SKEW * scale)
-        if len(crooked):
-            refuse_crooked(name, index[crooked])
-        c[:] = 0.5 * c + 0.5 * c.transpose(0, 2, 1)
+        mirrored = c.transpose(0, 2, 1)
+        if not (c == mirrored).all():
+            crooked = np.flatnonzero(np.abs(c - mirrored).max(axis=(1, 2)) > SKEW * np.abs(c).max(axis=(1, 2)))
+            if len(crooked):
+                refuse_crooked(name, index[crooked])
+            c[:] = 0.5 * c + 0.5 * mirrored
         eigenvalues = _principal_variances(c)
         bad = np.flatnonzero(eigenvalues[:, 0] <= LEAST_POSITIVE * eigenvalues[:, -1])
         thin = np.flatnonzero(eigenvalues[:, 0] < THINNEST * eigenvalues[:, -1])

@@ -310,7 +310,7 @@ CPU = {
         ("greatest) - unmatched", "greatest) + unmatched"),
         ("if new > wanted or not accelerated", "if not accelerated"),
         ("if new > wanted or not accelerated", "if new > wanted"),
-        ("forget(memory)\n            for", "for"),
+        ("forget_compiled(memory)\n            for", "for"),
         ("math.sqrt(sigma), memory", "sigma, memory"),
         ("sigma * math.exp(taken[LOG_SIGMA])", "new"),
         ("move(taken, pose)", "move(residual, pose)"),

@@ -42,7 +42,8 @@ def finished(tmp_path_factory):
 def test_a_run_ends_well_and_says_where_its_results_are(finished):
     folder, process = finished
     assert process.returncode == 0, process.stderr
-    assert process.stderr == ""  # no progress bar where there is no terminal
+    # no progress bar where there is no terminal; who comes first has the kernels to compile
+    assert [line for line in process.stderr.splitlines() if not line.startswith("compiling kernels")] == []
     assert "3 of 3 pairs registered" in process.stdout
     for name in ("report.md", "report.json", "rig.yaml", "two_kinects.rrd", "fused/000000_right_to_left.ply"):
         assert (folder / name).stat().st_size > 0

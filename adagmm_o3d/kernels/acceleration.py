@@ -33,10 +33,13 @@ def empty_memory() -> NDArray[np.float64]:
     return np.zeros((2 * MEMORY + 3, STATE))
 
 
-@njit(**FLAGS)
-def forget(memory):
+def forget(memory: NDArray[np.float64]) -> None:
     """Begin anew."""
     memory[-1, 0] = -1.0
+
+
+# Python itself is quicker with it than Numba with compiling it in every process.
+forget_compiled = njit(**FLAGS)(forget)
 
 
 @njit(**FLAGS)

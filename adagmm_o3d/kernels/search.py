@@ -16,7 +16,7 @@ from .acceleration import (
     TURN_AND_SHIFT,
     UNMATCHED_SHARE,
     accelerated_step,
-    forget,
+    forget_compiled,
 )
 from .compiling import FLAGS, LOG2_SCALE, SERIAL_KERNEL_FLAGS, source_stamp
 from .convolved_pass import ONE, ZERO, convolved_pass
@@ -147,7 +147,7 @@ def run_start(pose, start, source, target, kind, world, bounds, relative_rmse, a
     total = np.empty(TOTAL_SUMS, np.float64)
     residual, taken = np.empty(STATE, np.float64), np.empty(STATE, np.float64)
     memory = np.empty((2 * MEMORY + 3, STATE), np.float64)
-    forget(memory)
+    forget_compiled(memory)
     sigma, unmatched = start[SIGMA], start[UNMATCHED]
     iteration, still = 0, False
     while True:
@@ -171,7 +171,7 @@ def run_start(pose, start, source, target, kind, world, bounds, relative_rmse, a
         residual[LOG_SIGMA] = math.log(new / sigma)
         residual[UNMATCHED_SHARE] = min(max(1.0 - total[TOTAL_MATCHED], least), greatest) - unmatched
         if new > wanted or not accelerated:
-            forget(memory)
+            forget_compiled(memory)
             for i in range(STATE):
                 taken[i] = residual[i]
         else:

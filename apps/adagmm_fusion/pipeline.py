@@ -76,7 +76,7 @@ class PairOutcome:
 
 
 def compile_kernels(device: str) -> None:
-    """Register a small cloud, so that no pair's time holds the compilation, which takes a minute once per machine."""
+    """Register a small cloud, so that no pair's time holds the compilation (half a minute, once per machine)."""
     points = np.random.default_rng(0).normal(size=(1500, 3))
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
     cloud.covariances = o3d.utility.Matrix3dVector(np.tile(np.eye(3), (len(points), 1, 1)))

@@ -168,6 +168,8 @@ def test_a_child_forked_before_first_use_keeps_its_threads():
 @pytest.mark.skipif(os.name == "nt", reason="signals are sent differently on Windows")
 def test_ctrl_c_ends_a_long_registration():
     body = """
+    import signal
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever runs the tests may ignore it
     many = bumpy(rng, 200_000, 3)
     bits()
     def beat(values):

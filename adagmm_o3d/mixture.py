@@ -175,12 +175,11 @@ def make_mixture(
     check_spread(name, p)
     if dimension == 2:
         p, c = _lift(p, c)
-    isotropic = eigenvalues is None
-    mixture = Mixture(np.ascontiguousarray(p), np.ascontiguousarray(c), w, dimension, isotropic, usable)
-    if eigenvalues is None:
-        return mixture
-    variances = np.exp(np.log(eigenvalues).sum(axis=1) / dimension)
-    return mixture.knowing(variances=variances, largest_variances=eigenvalues[:, -1].copy())
+    mixture = Mixture(np.ascontiguousarray(p), np.ascontiguousarray(c), w, dimension, eigenvalues is None, usable)
+    if eigenvalues is not None:
+        variances = np.exp(np.log(eigenvalues).sum(axis=1) / dimension)
+        mixture.knowing(variances=variances, largest_variances=eigenvalues[:, -1].copy())
+    return mixture
 
 
 def _check_covariances(name: str, covariances: ArrayLike | None, n: int, dimension: int) -> Array:

@@ -22,6 +22,8 @@ KERNEL_FLAGS = {"parallel": True, **SERIAL_KERNEL_FLAGS}
 LOG2_SCALE = 0.5 / math.log(2.0)
 F0, F1 = np.float32(0.0), np.float32(1.0)
 
+_log = logging.getLogger("adagmm_o3d")
+
 
 def source_stamp() -> int:
     """A hash of every file of this folder.
@@ -41,11 +43,11 @@ def is_compiled(kernel: Callable[..., None]) -> bool:
 class _Announcement(event.Listener):
     """Says once that kernels are being compiled, so that nobody takes the first registration for one that hangs."""
 
-    def on_start(self, event: event.Event) -> None:
-        if event.data["dispatcher"].py_func.__module__.startswith(__package__):
+    def on_start(self, started: event.Event) -> None:
+        if started.data["dispatcher"].py_func.__module__.startswith(__package__):
             _announce()
 
-    def on_end(self, event: event.Event) -> None:
+    def on_end(self, ended: event.Event) -> None:
         """What has ended is of no interest."""
 
 
@@ -54,7 +56,6 @@ def _announce() -> None:
     _log.warning("compiling kernels for this machine, once; this takes about half a minute")
 
 
-_log = logging.getLogger("adagmm_o3d")
 event.register("numba:compile", _Announcement())
 # The formulas for the CPU.
 formulas = gaussian.build(njit(**FLAGS))

@@ -35,10 +35,10 @@ def run_in_stretches(kernel: Callable[..., None], run: Callable[[int, int], None
     stretches = deque((part * count // parts, (part + 1) * count // parts) for part in range(parts))
 
     def work() -> None:
-        while stretches:
+        while True:
             try:
                 stretch = stretches.popleft()
-            except IndexError:  # another thread has taken the last
+            except IndexError:
                 return
             run(*stretch)
 

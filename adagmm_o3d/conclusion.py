@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,12 +12,10 @@ from .em import Outcome
 from .expectation import SIGMA_FLOOR, uniform_density
 from .mixture import Mixture, Normalisation
 from .pairs import Pairs
-from .result import PointRegistrationResult, PoseUncertainty, StopReason
+from .result import Partners, PointRegistrationResult, PoseUncertainty, StopReason
 
 # The share of points without a partner that is taken for granted when a point is asked whether it has one.
 JUDGED_UNMATCHED = 0.1
-# With a smaller share of partners than this, anything might fit.
-LEAST_OVERLAP = 0.1
 # Residuals of this variance (a standard deviation of a tenth of the radius) are heavy noise or a wrong pose.
 LARGEST_SIGMA = 0.01
 
@@ -27,27 +26,14 @@ def conclude(
     normalisation: Normalisation,
     source: Mixture,
     target: Mixture,
-    pairs: Pairs,
     *,
-    volume: float,
     ambiguous: bool,
+    find_partners: Callable[[], Partners],
     assess: Callable[[], PoseUncertainty],
 ) -> PointRegistrationResult:
-    """The result of normalised mixtures in input units.
-
-    What the final pose says of every point comes from one more pass over all `pairs`, with points that have no partner
-    spread over `volume`.
-    """
-    dimension = source.dimension
+    """The result of normalised mixtures in input units."""
     poses = np.array([start, *(i.pose for i in outcome.iterations)])
-    poses = lower(normalisation.pose_out(poses), dimension)
-    row_weights, overlap = np.zeros(len(source.kept)), 0.0
-    if outcome.stop_reason is not StopReason.NO_OVERLAP:
-        uniform = uniform_density(JUDGED_UNMATCHED, dimension, volume)
-        # Finer than the floor, a point between the samples of the other cloud would seem to have no partner.
-        sigma = max(outcome.iterations[-1].sigma, SIGMA_FLOOR)
-        posterior = pairs.posterior_sums(outcome.pose, sigma, uniform)
-        row_weights[source.kept], overlap = posterior.row_weights, posterior.overlap
+    poses = lower(normalisation.pose_out(poses), source.dimension)
     return PointRegistrationResult(
         transformation=poses[-1].copy(),
         stop_reason=outcome.stop_reason,
@@ -55,22 +41,37 @@ def conclude(
         sigmas=np.array([normalisation.sigma_out(i.sigma) for i in outcome.iterations]),
         energies=np.array([i.energy for i in outcome.iterations]),
         transformations=poses,
-        overlap=float(overlap),
-        row_weights=row_weights,
         dropped_source=source.dropped,
         dropped_target=target.dropped,
         ambiguous=ambiguous,
-        doubts=_doubts(outcome, overlap, ambiguous),
+        doubts=_doubts(outcome, ambiguous),
+        find_partners=find_partners,
         assess=assess,
     )
 
 
-def _doubts(outcome: Outcome, overlap: float, ambiguous: bool) -> tuple[str, ...]:
+def partners_of(pairs: Pairs, source: Mixture, pose: Array, sigma: float, volume: float) -> Partners:
+    """What a pose between normalised mixtures, whose `pairs` they are, says of every input point of the source.
+
+    Points that have no partner are spread over `volume`.
+    """
+    # Finer than the floor, a point between the samples of the other cloud would seem to have no partner.
+    sigma = max(sigma, SIGMA_FLOOR)
+    posterior = pairs.posterior_sums(pose, sigma, uniform_density(JUDGED_UNMATCHED, source.dimension, volume))
+    partners = no_partners(source)
+    partners.row_weights[source.kept] = posterior.row_weights
+    return replace(partners, overlap=float(posterior.overlap))
+
+
+def no_partners(source: Mixture) -> Partners:
+    """Of a pose that no pair speaks for."""
+    return Partners(0.0, np.zeros(len(source.kept)))
+
+
+def _doubts(outcome: Outcome, ambiguous: bool) -> tuple[str, ...]:
     doubts = []
     if outcome.stop_reason is not StopReason.CONVERGED:
         doubts.append(f"not converged: {outcome.stop_reason}")
-    if overlap < LEAST_OVERLAP:
-        doubts.append(f"the estimated overlap is only {overlap:.0%}")
     if outcome.iterations and outcome.iterations[-1].sigma > LARGEST_SIGMA:
         deviation = np.sqrt(outcome.iterations[-1].sigma)
         doubts.append(f"residuals of {deviation:.0%} of the clouds' radius remain: heavy noise or a wrong pose")

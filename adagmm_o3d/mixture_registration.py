@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from . import starts
 from .arguments import Array
 from .cascade import Cascade
-from .conclusion import conclude, lower
+from .conclusion import conclude, lower, no_partners, partners_of
 from .criteria import Criteria
 from .em import expectation_maximisation
 from .errors import InputError
@@ -93,15 +93,17 @@ def register_mixtures(
         outcome = expectation_maximisation(
             expectation, start, limits, dimension, relaxation=method.relaxation, observe=observe
         )
+    find_partners = partial(no_partners, moving)
+    if outcome.stop_reason is not StopReason.NO_OVERLAP:
+        find_partners = partial(partners_of, pairs, moving, outcome.pose, outcome.iterations[-1].sigma, volume)
     return conclude(
         start,
         outcome,
         normalisation,
         moving,
         fixed,
-        pairs,
-        volume=volume,
         ambiguous=ambiguous,
+        find_partners=find_partners,
         assess=assess,
     )
 

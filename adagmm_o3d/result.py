@@ -19,6 +19,18 @@ class StopReason(StrEnum):
     DEGENERATE = "the pairs leave the pose undetermined"
 
 
+# With a smaller share of partners than this, anything might fit.
+LEAST_OVERLAP = 0.1
+
+
+@dataclass(frozen=True)
+class Partners:
+    """overlap : share of the source's points that have a partner.   row_weights : (M,) the probability of each."""
+
+    overlap: float
+    row_weights: Array
+
+
 @dataclass(frozen=True)
 class PoseUncertainty:
     """covariance : (6, 6), in 2D (3, 3), of δ = (ω, v) in exp(δ)·T; None where no pair carries any weight.
@@ -42,13 +54,13 @@ class PointRegistrationResult:
     energies : (K,) the paper's Eq. 5 in each iteration, in squared Mahalanobis distances, per unit of pair weight.
     transformations : (K+1, D+1, D+1) the pose before the first iteration and after each. The first is that of the start
         that won the search, which need not be `init`.
-    overlap : estimated share of the source's points that have a partner in the target, 0 to 1.
-    row_weights : (M,) probability of each source point to have a partner; 0 where it was dropped.
     dropped_source, dropped_target : points ignored because their covariance is not finite.
     ambiguous : another, clearly different pose explains the clouds as well. Only a global search can tell.
     doubts : one line for each reason not to trust the result that the registration itself came upon.
-    assess : computes the pose's uncertainty. It costs about as much as some iterations on all points, so it runs when
-        `pose_covariance`, `unobservable` or `warnings` is first asked for; until then the clouds are kept for it.
+    find_partners, assess : what the final pose says of the points, and its uncertainty. They cost about as much as one
+        iteration on all points and as some, so they run when something of theirs is first asked for: the one for
+        `overlap` and `row_weights`, the other for `pose_covariance` and `unobservable`, both for `warnings`. Until
+        then the clouds are kept for them.
     """
 
     transformation: Array
@@ -57,13 +69,22 @@ class PointRegistrationResult:
     sigmas: Array
     energies: Array
     transformations: Array
-    overlap: float
-    row_weights: Array
     dropped_source: int
     dropped_target: int
     ambiguous: bool
     doubts: tuple[str, ...]
+    find_partners: Callable[[], Partners]
     assess: Callable[[], PoseUncertainty]
+
+    @property
+    def overlap(self) -> float:
+        """Estimated share of the source's points that have a partner in the target, 0 to 1."""
+        return self._partners.overlap
+
+    @property
+    def row_weights(self) -> Array:
+        """(M,) probability of each source point to have a partner; 0 where it was dropped."""
+        return self._partners.row_weights
 
     @property
     def pose_covariance(self) -> Array | None:
@@ -83,10 +104,16 @@ class PointRegistrationResult:
     @property
     def warnings(self) -> tuple[str, ...]:
         """One line for each reason not to trust the result; empty when there is none."""
-        free = len(self.unobservable)
-        if not free:
-            return self.doubts
-        return (*self.doubts, f"the shape leaves {free} direction{'s' if free > 1 else ''} of the pose free")
+        reasons = list(self.doubts)
+        if self.overlap < LEAST_OVERLAP:
+            reasons.append(f"the estimated overlap is only {self.overlap:.0%}")
+        if free := len(self.unobservable):
+            reasons.append(f"the shape leaves {free} direction{'s' if free > 1 else ''} of the pose free")
+        return tuple(reasons)
+
+    @cached_property
+    def _partners(self) -> Partners:
+        return self.find_partners()
 
     @cached_property
     def _uncertainty(self) -> PoseUncertainty:

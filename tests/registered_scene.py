@@ -10,7 +10,7 @@ from adagmm_fusion.clouds import cloud_from_frame
 from adagmm_fusion.frames import PinholeIntrinsics, RGBDFrame, RGBDPair
 from adagmm_fusion.fusion import fused_mesh
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh
-from adagmm_o3d.result import PointRegistrationResult, PoseUncertainty, StopReason
+from adagmm_o3d.result import Partners, PointRegistrationResult, PoseUncertainty, StopReason
 
 ITERATIONS = 12
 INTRINSICS = PinholeIntrinsics(160, 120, 140.0, 140.0, 79.5, 59.5)
@@ -55,12 +55,11 @@ def known_estimate(
         sigmas=0.04 * 0.7**steps,
         energies=2.0 + 0.5**steps,
         transformations=transformations,
-        overlap=0.7,
-        row_weights=np.linspace(0.0, 1.0, len(source.points)),
         dropped_source=0,
         dropped_target=0,
         ambiguous=False,
         doubts=(),
+        find_partners=lambda: Partners(0.7, np.linspace(0.0, 1.0, len(source.points))),
         assess=lambda: PoseUncertainty(None, unobservable),
     )
 

@@ -189,6 +189,19 @@ def test_the_arrays_are_not_modified():
     assert [array.tobytes() for array in arrays] == before
 
 
+@dimensions
+@rules
+def test_what_is_asked_for_later_is_that_of_the_clouds_as_they_were(dimension, rule):
+    method = TransformationEstimationForAdaptiveGMM(sigma_rule=rule)
+    motion = Motion(dimension, isotropic=False)
+    expected, result = motion.register(estimation_method=method), motion.register(estimation_method=method)
+    asked = expected.overlap, expected.row_weights.tobytes(), expected.warnings
+    for array in (motion.source, motion.target, motion.source_covariances, motion.target_covariances):
+        array[:] = 0.0
+    assert (result.overlap, result.row_weights.tobytes(), result.warnings) == asked
+    assert result.row_weights is result.row_weights  # found once
+
+
 def test_kinect_scenes():
     errors = []
     for path in sorted(shared_data("kinect_pairs").glob("scene_*.npz")):

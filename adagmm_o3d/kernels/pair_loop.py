@@ -21,7 +21,7 @@ from .culling import CHUNK, CLUSTER
 from .layout import GRADIENT, HESSIAN, TOTAL_ENERGY, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
 from .nearest import nearest_sq
 from .stretches import run_in_stretches
-from .tiles import make_tiles, morton_order
+from .tiles import Tiles, make_tiles, morton_order
 
 Float32 = NDArray[np.float32]
 
@@ -107,34 +107,33 @@ class Side:
 
 
 class PairLoop:
-    """The pairs of a source and a target mixture (normalised coordinates), evaluated by the CPU kernels."""
+    """The pairs of a source and a target mixture (normalised coordinates), evaluated by the CPU kernels.
+
+    The mixtures are laid out for these with the first pass, which nobody may ask for.
+    """
 
     def __init__(self, source: Mixture, target: Mixture) -> None:
+        self._mixtures = source, target
         self._isotropic = source.isotropic and target.isotropic
         self._planar = source.dimension == 2
-        self._source, self._target = Side(source, self._isotropic), Side(target, self._isotropic)
-        self._tiles = make_tiles(self._target.points, self._target.variances, self._target.bits)
         self._chunks = -(-len(source) // CHUNK)
         self._bands = min(BANDS, -(-len(source) // CLUSTER))
         self._threads = max(1, min(numba.get_num_threads(), len(source) * len(target) // PAIRS_PER_THREAD))
-        self._precisions: tuple[Float32, Float32] | None = None
         self._unit = LOG2_SCALE ** (1.0 if self._planar else 1.5)  # |Σ|^(-1/2) in powers of two
         self._no_columns = np.empty((self._bands, 0), np.float32)
-        self._scaled = np.empty((1 if self._isotropic else 6, len(target)), np.float32)
 
     def sums(self, pose: Array, source_sigma: float, target_sigma: float) -> PairSums:
         """The paper's E-step at `pose` (4, 4), the covariances of either side times its σ, summed up for the M-step."""
         source, target = self._source, self._target
-        if self._precisions is None:
-            self._precisions = source.precisions(), target.precisions()
-        np.multiply(self._precisions[1], np.float32(1.0 / target_sigma), out=self._scaled)
+        matrices, target_matrices, scaled = self._precisions
+        np.multiply(target_matrices, np.float32(1.0 / target_sigma), out=scaled)
         partials, row_weights = np.empty((self._chunks, TOTAL_SUMS)), np.empty(len(source.order))
         self._run(
             adaptive_sums,
             _packed_pose(pose),
             np.array([source_sigma, target_sigma], np.float32),
-            (source.points, self._precisions[0], source.amplitudes, source.variances, source.bits),
-            (target.points, self._scaled, target.amplitudes),
+            (source.points, matrices, source.amplitudes, source.variances, source.bits),
+            (target.points, scaled, target.amplitudes),
             self._tiles,
             self._isotropic,
             0,
@@ -197,6 +196,24 @@ class PairLoop:
             nearest,
         )
         return self._source.restore(nearest)
+
+    @cached_property
+    def _source(self) -> Side:
+        return Side(self._mixtures[0], self._isotropic)
+
+    @cached_property
+    def _target(self) -> Side:
+        return Side(self._mixtures[1], self._isotropic)
+
+    @cached_property
+    def _tiles(self) -> Tiles:
+        return make_tiles(self._target.points, self._target.variances, self._target.bits)
+
+    @cached_property
+    def _precisions(self) -> tuple[Float32, Float32, Float32]:
+        """Precisions of source and target, and room for the target's at some σ."""
+        matrices = self._target.precisions()
+        return self._source.precisions(), matrices, np.empty_like(matrices)
 
     @cached_property
     def _convolved(self) -> tuple[Float32, Float32, Float32]:

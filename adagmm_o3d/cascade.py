@@ -13,8 +13,8 @@ import numpy as np
 
 from .coarse import MergedMixture, count_certain, merge, sample
 from .expectation import SIGMA_FLOOR
+from .kernels.nearest_other import nearest_other_sq
 from .mixture import Mixture
-from .neighbors import NeighborIndex
 from .order_statistics import quantile
 from .start_search import End, Limits, Start, distinct, joined, pose_distance, run_starts
 
@@ -148,6 +148,6 @@ def _spacing(mixture: Mixture) -> float:
     points = mixture.points_at(index)
     thinning = (len(points) / len(mixture)) ** (1.0 / (mixture.dimension - 1))
     probes = np.linspace(0, len(points) - 1, min(PROBES, len(points))).astype(np.intp)
-    flat = np.ascontiguousarray(points[:, : mixture.dimension])
-    nearest = NeighborIndex(flat).query(flat[probes], 2)[1][:, 1]
-    return math.sqrt(quantile(nearest, 0.5)) * thinning
+    squares = np.empty(len(probes))
+    nearest_other_sq(np.ascontiguousarray(points.T), probes, squares)
+    return math.sqrt(quantile(squares, 0.5)) * thinning

@@ -14,8 +14,8 @@ from .kernels.compiling import LOG2_SCALE
 from .kernels.convolved_pass import pack
 from .kernels.convolved_rows import MATRIX
 from .kernels.farthest_points import farthest_points
-from .kernels.tiles import Float32, make_tiles, morton_order
-from .mixture import PACKED, Mixture
+from .kernels.tiles import make_boxes, maxima, morton_order
+from .mixture import Mixture, packed
 
 # A cloud is thinned to this many points before it is merged; more say nothing about so few components.
 MERGE_FROM = 4096
@@ -57,51 +57,41 @@ class MergedMixture:
 
     @cached_property
     def _source(self) -> tuple[Any, ...]:
-        order, points, matrices, spreads, *reach = self._ordered
+        order, points, matrices, spreads, reach = self._ordered
         weights = self.weights[order]
-        return points, matrices, spreads, weights, weights.astype(np.float32), *reach
+        return points, matrices, spreads, weights, weights.astype(np.float32), reach[:1], reach[1:]
 
     @cached_property
     def _target(self) -> tuple[Any, ...]:
-        order, points, matrices, spreads, reach, reach_spreads = self._ordered
-        tiles = make_tiles(points, reach[0], np.zeros_like(reach[0]))
-        of_spreads = make_tiles(points, reach_spreads[0], np.zeros_like(reach[0]))
-        packed = pack(points, self.weights[order], len(matrices))
+        order, points, matrices, spreads, reach = self._ordered
+        boxes = make_boxes(points)
+        of_tiles, of_groups = maxima(reach)
         return (
-            packed,
+            pack(points, self.weights[order], len(matrices)),
             matrices,
             spreads,
-            reach,
-            reach_spreads,
-            of_spreads.variance[None],
-            of_spreads.group_variance[None],
-            tiles.lo,
-            tiles.hi,
-            tiles.variance[None],
-            tiles.group_lo,
-            tiles.group_hi,
-            tiles.group_variance[None],
+            reach[:1],
+            reach[1:],
+            of_tiles[1:],
+            of_groups[1:],
+            boxes.lo,
+            boxes.hi,
+            of_tiles[:1],
+            boxes.group_lo,
+            boxes.group_hi,
+            of_groups[:1],
         )
 
     @cached_property
     def _ordered(self) -> tuple[Any, ...]:
         """The components' order in space; in it, points (3, n), packed covariances and spreads (6, n), largest
-        variances and bounds on those of the spreads (1, n); in powers of two."""
-        n = len(self.points)
-        order = morton_order(self.points, last=np.zeros(n, np.bool_))
-        reach = self.largest_variances[order], np.einsum("nii->n", self.spreads)[order]
-        return (
-            order,
-            np.ascontiguousarray(self.points[order].T, np.float32),
-            *(self._packed(matrices[order]) for matrices in (self.covariances, self.spreads)),
-            *((variances[None] / LOG2_SCALE).astype(np.float32) for variances in reach),
-        )
-
-    def _packed(self, matrices: Array) -> Float32:
-        packed = (np.stack([matrices[:, i, j] for i, j in PACKED]) / LOG2_SCALE).astype(np.float32)
-        if self.dimension == 2:
-            packed[5] = 0.0
-        return packed
+        variances and bounds on those of the spreads (2, n); in powers of two."""
+        order = morton_order(self.points)
+        points = self.points.astype(np.float32).T.take(order, axis=1)
+        covariances, spreads = packed(self.covariances, self.dimension), packed(self.spreads, self.dimension)
+        reach = np.stack([self.largest_variances, spreads[0] + spreads[3] + spreads[5]])
+        in_powers = ((values / LOG2_SCALE).astype(np.float32) for values in (covariances, spreads, reach))
+        return order, points, *(values.take(order, axis=1) for values in in_powers)
 
 
 def merge(mixture: Mixture, count: int) -> MergedMixture:
@@ -112,19 +102,23 @@ def merge(mixture: Mixture, count: int) -> MergedMixture:
     points, weights = part.points, part.weights
     label = np.empty(len(points), np.int64)
     farthest_points(np.ascontiguousarray(points.T), count, label)
-    total = np.bincount(label, weights, count)
-    used = total > 0
+    order = np.argsort(label, kind="stable")
+    label = label[order]
+    first = np.flatnonzero(np.diff(label, prepend=-1))
+    points, weights = points[order], weights[order]
+    total = np.add.reduceat(weights, first)
 
     def average(values: Array) -> Array:
+        """(count, …) weighted means of (n, …) values in the order of the labels."""
         flat = values.reshape(len(values), -1)
-        sums = np.stack([np.bincount(label, weights * column, count) for column in flat.T], axis=1)
-        return (sums[used] / total[used, None]).reshape(-1, *values.shape[1:])
+        means = np.add.reduceat(flat * weights[:, None], first) / total[:, None]
+        return means.reshape(-1, *values.shape[1:])
 
     means = average(points)
-    offsets = points - means[np.cumsum(used)[label] - 1]
+    offsets = points - means.repeat(np.diff(first, append=len(points)), axis=0)
     spreads = average(offsets[:, :, None] * offsets[:, None, :])
-    shares = total[used] / total.sum()
-    covariances, largest = average(part.covariances), average(part.largest_variances)
+    shares = total / total.sum()
+    covariances, largest = average(part.covariances[order]), average(part.largest_variances[order])
     return MergedMixture(means, covariances, spreads, shares, largest, mixture.dimension)
 
 

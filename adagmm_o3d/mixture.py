@@ -37,7 +37,8 @@ BULK, FINEST = 0.9, 1e-3
 BULK_FROM = 20_000
 # Clouds this many radii apart do not see each other, and float32 has no digits for more.
 FARTHEST = 1e4
-PACKED = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+# Where xx, xy, xz, yy, yz and zz stand in a matrix read row by row.
+PACKED = np.array([0, 1, 2, 4, 5, 8])
 
 
 @dataclass(frozen=True)
@@ -102,17 +103,11 @@ class Mixture:
 
     def packed_covariances(self) -> Array:
         """(6, n) covariances, packed as xx, xy, xz, yy, yz, zz; in 2D what has a z is zero."""
-        packed = np.stack([self.covariances[:, i, j] for i, j in PACKED])
-        if self.dimension == 2:
-            packed[5] = 0.0
-        return packed
+        return packed(self.covariances, self.dimension)
 
     def packed_precisions(self) -> Array:
         """(6, n) inverse covariances, packed as xx, xy, xz, yy, yz, zz; in 2D what has a z is zero."""
-        precisions = np.linalg.inv(self.covariances)
-        if self.dimension == 2:
-            precisions[:, 2, 2] = 0.0
-        return np.stack([precisions[:, i, j] for i, j in PACKED])
+        return packed(np.asarray(np.linalg.inv(self.covariances), np.float64), self.dimension)
 
     @cached_property
     def largest_variances(self) -> Array:
@@ -141,6 +136,14 @@ class Mixture:
         points = (self.points - centre) / scale
         mixture = Mixture(points, covariances, self.weights, self.dimension, self.isotropic, self.kept)
         return mixture.knowing(variances=relative, largest_variances=self.largest_variances / unit * factor)
+
+
+def packed(matrices: Array, dimension: int) -> Array:
+    """(6, n) of (n, 3, 3) symmetric matrices, as xx, xy, xz, yy, yz, zz; in 2D zz is zero."""
+    entries = matrices.reshape(-1, 9).T.take(PACKED, axis=0)
+    if dimension == 2:
+        entries[5] = 0.0
+    return entries
 
 
 def make_mixture(

@@ -207,7 +207,7 @@ def _side(mixture: Mixture, fit: Fit, pose: Array, weights: Array, axis: int) ->
     covariances = fit.sigma * pose[:3, :3] @ mixture.covariances[index] @ pose[:3, :3].T
     return _Side(
         points,
-        np.stack([covariances[:, i, j] for i, j in PACKED], axis=1),
+        covariances.reshape(-1, 9).take(PACKED, axis=1),
         fit.sigma * mixture.largest_variances[index],
         weights[index],
         index,

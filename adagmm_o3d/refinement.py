@@ -104,12 +104,13 @@ def _refine_compiled(cascade: Cascade, end: End, criteria: Criteria, observe: Ob
     start = Start(end.pose, end.sigma, end.unmatched, FASTEST, criteria.max_iteration, follow=1.0)
     limits = Limits(SAMPLED_SIGMA, LEAST_UNMATCHED, criteria.relative_rmse, accelerated=True, bits=CUT_BITS)
     refined = run_starts(*cascade.sampled(SMALL), [start], limits=limits, volume=cascade.volume, level=LEVEL)[0]
+    iterations = refined.iterations
     if observe is not None:
-        for iteration in refined.iterations:
+        for iteration in iterations:
             observe(iteration)
-    if not refined.iterations[-1].matched > 0.0:
+    if not iterations[-1].matched > 0.0:
         reason = StopReason.NO_OVERLAP
     else:
         reason = StopReason.CONVERGED if refined.settled else StopReason.MAX_ITERATION
     fit = Fit(refined.pose, refined.sigma, refined.unmatched, cascade.volume, mutuality=0.0)
-    return Outcome(refined.pose, end.iterations + refined.iterations, reason), fit
+    return Outcome(refined.pose, end.iterations + iterations, reason), fit

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,7 +24,7 @@ class Start(NamedTuple):
     """One start: a pose (4, 4), and how EM runs from it.
 
     fastest : the share of itself to which σ may fall in an iteration.   follow : 1 keeps σ from falling below what the
-    residuals say, 0 lets it fall whatever they say.
+    residuals say, 0 lets it fall whatever they say. What follows the pose stands as the kernel's columns do.
     """
 
     pose: Array
@@ -52,8 +52,7 @@ class Limits:
     bits: float = COARSE_BITS
 
 
-@dataclass(frozen=True)
-class End:
+class End(NamedTuple):
     """Where a start has led: the pose, its σ and unmatched share, how well it explains both clouds, the way there.
 
     log_likelihood : mean over the points, both clouds added [nats], at the end's own σ and unmatched share, but for a
@@ -95,7 +94,7 @@ def run_starts(
     if not starts:
         return []
     poses = np.array([s.pose[:3] for s in starts]).reshape(-1, 12)
-    columns = np.array([[s.sigma, s.unmatched, s.fastest, s.iterations, s.follow] for s in starts], np.float64)
+    columns = np.array([start[1:] for start in starts], np.float64)
     ends = np.empty((len(starts), kernel.END_COLUMNS))
     history = np.empty((len(starts), max(s.iterations for s in starts), kernel.HISTORY_COLUMNS))
     half, isotropic = 0.5 * source.dimension, source.isotropic and target.isotropic
@@ -153,13 +152,13 @@ def distinct(ends: list[End], count: int, distance: float) -> list[End]:
 
 def joined(before: list[End], after: list[End]) -> list[End]:
     """Each end with the way that led to its start put in front."""
-    return [replace(end, start=old.start, trail=old.trail + end.trail) for old, end in zip(before, after, strict=True)]
+    return [end._replace(start=old.start, trail=old.trail + end.trail) for old, end in zip(before, after, strict=True)]
 
 
 def pose_distance(a: Array, b: Array) -> Any:
     """‖R_a − R_b‖_F + ‖t_a − t_b‖ of poses (..., 4, 4) between normalised clouds."""
-    squares = (a[..., :3, :] - b[..., :3, :]) ** 2
-    return np.sqrt(squares[..., :3].sum(axis=(-2, -1))) + np.sqrt(squares[..., 3].sum(axis=-1))
+    squares = ((a[..., :3, :] - b[..., :3, :]) ** 2).sum(axis=-2)
+    return np.sqrt(squares[..., :3].sum(axis=-1)) + np.sqrt(squares[..., 3])
 
 
 def _poses(rows: Array) -> Array:

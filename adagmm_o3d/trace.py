@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from .arguments import Array
 
 
-@dataclass(frozen=True)
-class Iteration:
+class Iteration(NamedTuple):
     """One EM iteration, in normalised coordinates.
 
     pose (4, 4) after it, σ during it, energy per unit of pair weight, share of the source matched, level (0 coarsest).

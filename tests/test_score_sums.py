@@ -7,7 +7,6 @@ from mixtures import random_points_and_covariances
 from adagmm_o3d.kernels.score_sums import CURVATURE, POINT_SUMS, SCORE, SENSITIVITY, score_sums
 from adagmm_o3d.lie import se_exp
 from adagmm_o3d.m_step import FREE
-from adagmm_o3d.mixture import PACKED
 
 EVERYTHING = 1e12
 STEP = 1e-5
@@ -23,7 +22,7 @@ class Side:
         self.shares = rng.uniform(0.5, 2.0, n)
 
     def as_argument(self):
-        packed = np.stack([self.covariances[:, i, j] for i, j in PACKED], axis=1)
+        packed = self.covariances.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]].copy(order="C")
         return self.points, packed, self.variances, self.weights
 
 

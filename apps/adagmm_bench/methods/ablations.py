@@ -26,7 +26,7 @@ def compared_at_one_share(
     ends = run_starts(source, target, starts, limits=limits, volume=volume, level=level)
     again = [Start(end.pose, end.sigma, ONE_SHARE, fastest=1.0, iterations=0, follow=1.0) for end in ends]
     judged = run_starts(source, target, again, limits=limits, volume=volume, level=level)
-    return [replace(end, log_likelihood=at.log_likelihood) for end, at in zip(ends, judged, strict=True)]
+    return [end._replace(log_likelihood=at.log_likelihood) for end, at in zip(ends, judged, strict=True)]
 
 
 def run_starts_unaccelerated(

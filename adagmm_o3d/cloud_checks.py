@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from typing import NoReturn
 
 import numpy as np
@@ -69,7 +70,7 @@ def check_spread(name: str, p: Array) -> None:
     largest = float(np.abs(p).max())
     check_largest(name, largest)
     centred = p - p[0]
-    centred -= centred.mean(axis=0)
+    centred -= centred.sum(axis=0) / len(p)
     extent = float(np.abs(centred).max())
     check_extent(name, extent)
     centred /= max(extent, SMALLEST_EXTENT)
@@ -97,8 +98,9 @@ def spread_of(scatter: Array) -> Array:
 
 def check_rank(name: str, spread: Array, count: int, distance: float) -> None:
     """Raise unless the singular values of so many offsets stand out of rounding, `distance` extents from the origin."""
-    rounding = 4.0 * np.finfo(float).eps * math.sqrt(count) * distance
-    rank = int((spread > max(1e-7 * spread[0], rounding)).sum())
+    rounding = 4.0 * sys.float_info.epsilon * math.sqrt(count) * distance
+    limit = max(1e-7 * spread[0], rounding)
+    rank = sum(extent > limit for extent in spread.tolist())
     if rank < len(spread) - 1:
         shape = "in one place" if rank == 0 else "on one line"
         raise DegenerateError(f"{name}.points: all {count} points are {shape}; a pose cannot be found")

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -122,9 +124,8 @@ class Mixture:
 
     def radius(self, centre: Array, weights: Array) -> float:
         """Root mean square distance of the points from `centre`, with (n,) weights."""
-        counted = weights > 0.0
-        squares = ((self.points[counted] - centre) ** 2).sum(axis=1)
-        return math.sqrt((squares * weights[counted]).sum() / weights[counted].sum())
+        squares = ((self.points - centre) ** 2).sum(axis=1)
+        return math.sqrt((squares * weights).sum() / weights.sum())
 
     def normalised(self, centre: Array, scale: float, unit: float, relative: Array) -> Mixture:
         """Points from `centre` in units of `scale`, covariances in units of `unit`, with `relative` (n,) for the
@@ -170,64 +171,66 @@ def make_mixture(
         refuse_points(name, np.flatnonzero(~np.isfinite(p).all(axis=1)), n)
     c = _check_covariances(name, covariances, n, dimension)
     w = _check_weights(name, weights, n)
-    usable: NDArray[np.bool_] = np.asarray(np.isfinite(c).all(axis=(1, 2)))
-    check_usable(name, usable)
-    p, c, w = p[usable], c[usable], w[usable]
-    eigenvalues = _check_positive_definite(name, c, usable)
+    finite, usable = np.isfinite(c), np.full(n, True)
+    if not finite.all():
+        usable = np.asarray(finite.all(axis=(1, 2)))
+        check_usable(name, usable)
+        p, c, w = p[usable], c[usable], w[usable]
+    c, eigenvalues = _check_positive_definite(name, c, usable)
     check_count(name, len(p))
     check_spread(name, p)
     if dimension == 2:
         p, c = _lift(p, c)
-    mixture = Mixture(np.ascontiguousarray(p), np.ascontiguousarray(c), w, dimension, eigenvalues is None, usable)
+    mixture = Mixture(p, c, w, dimension, eigenvalues is None, usable)
     if eigenvalues is not None:
-        variances = np.exp(np.log(eigenvalues).sum(axis=1) / dimension)
+        variances = (eigenvalues ** (1.0 / dimension)).prod(axis=1)
         mixture.knowing(variances=variances, largest_variances=eigenvalues[:, -1].copy())
     return mixture
 
 
 def _check_covariances(name: str, covariances: ArrayLike | None, n: int, dimension: int) -> Array:
     if covariances is None:
-        return np.broadcast_to(np.eye(dimension), (n, dimension, dimension)).copy()
-    return float_array(f"{name}.covariances", covariances, (n, dimension, dimension), finite=False).copy()
+        return np.tile(np.eye(dimension), (n, 1, 1))
+    return float_array(f"{name}.covariances", covariances, (n, dimension, dimension), finite=False)
 
 
 def _check_weights(name: str, weights: ArrayLike | None, n: int) -> Array:
     if weights is None:
         return np.ones(n)
-    w = float_array(f"{name}.weights", weights, (n,))
+    w = float_array(f"{name}.weights", weights, (n,)).copy()
     if not (w > 0).all():
         first = int(np.flatnonzero(w <= 0)[0])
         raise InputError(f"{name}.weights: expected numbers above zero, got {w[first]:g} at index {first}")
     return w
 
 
-def _check_positive_definite(name: str, c: Array, usable: NDArray[np.bool_]) -> Array | None:
-    """Raise unless every covariance is symmetric positive definite; thin ones are thickened.
+def _check_positive_definite(name: str, c: Array, usable: NDArray[np.bool_]) -> tuple[Array, Array | None]:
+    """Raise unless every covariance is symmetric positive definite; thin ones come back thickened.
 
-    Returns their (n, D) eigenvalues, ascending, or None where all are isotropic.
+    The covariances and their (n, D) eigenvalues, ascending, or None where all are isotropic.
     """
-    index = np.flatnonzero(usable)
-    dimension = c.shape[1]
-    diagonal = np.einsum("nii->ni", c)
-    off = c[:, ~np.eye(dimension, dtype=bool)]
-    if (off == 0).all() and (diagonal == diagonal[:, :1]).all():
-        bad = np.flatnonzero(diagonal[:, 0] <= 0)
-        eigenvalues = None
-    else:
-        mirrored = c.transpose(0, 2, 1)
-        if not (c == mirrored).all():
-            crooked = np.flatnonzero(np.abs(c - mirrored).max(axis=(1, 2)) > SKEW * np.abs(c).max(axis=(1, 2)))
-            if len(crooked):
-                refuse_crooked(name, index[crooked])
-            c[:] = 0.5 * c + 0.5 * mirrored
-        eigenvalues = _principal_variances(c)
-        bad = np.flatnonzero(eigenvalues[:, 0] <= LEAST_POSITIVE * eigenvalues[:, -1])
-        thin = np.flatnonzero(eigenvalues[:, 0] < THINNEST * eigenvalues[:, -1])
-        if not len(bad) and len(thin):
-            c[thin], eigenvalues[thin] = _thickened(c[thin])
-    if len(bad):
-        refuse_indefinite(name, index[bad])
-    return eigenvalues
+    if (c == c[:, :1, :1] * np.eye(c.shape[1])).all():
+        _refuse(refuse_indefinite, name, c[:, 0, 0] <= 0.0, usable)
+        return c, None
+    mirrored = c.transpose(0, 2, 1)
+    if not (c == mirrored).all():
+        skew = np.abs(c - mirrored).max(axis=(1, 2))
+        _refuse(refuse_crooked, name, skew > SKEW * np.abs(c).max(axis=(1, 2)), usable)
+        c = 0.5 * c + 0.5 * mirrored
+    eigenvalues = _principal_variances(c)
+    least, largest = eigenvalues[:, 0], eigenvalues[:, -1]
+    thin = least <= THINNEST * largest
+    if thin.any():
+        _refuse(refuse_indefinite, name, least <= LEAST_POSITIVE * largest, usable)
+        c = c.copy()
+        c[thin], eigenvalues[thin] = _thickened(c[thin])
+    return c, eigenvalues
+
+
+def _refuse(refuse: Callable[..., NoReturn], name: str, bad: NDArray[np.bool_], usable: NDArray[np.bool_]) -> None:
+    """Refuse covariances if any is bad, by its place in the input."""
+    if bad.any():
+        refuse(name, np.flatnonzero(usable)[bad])
 
 
 def _principal_variances(c: Array) -> Array:
@@ -236,7 +239,9 @@ def _principal_variances(c: Array) -> Array:
         return np.asarray(np.linalg.eigvalsh(c), np.float64)
     xx, xy, yy = c[:, 0, 0], c[:, 0, 1], c[:, 1, 1]
     mean, deviation = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
-    return np.stack([mean - deviation, mean + deviation], axis=1)
+    eigenvalues = np.empty((len(c), 2))
+    eigenvalues[:, 0], eigenvalues[:, 1] = mean - deviation, mean + deviation
+    return eigenvalues
 
 
 def _thickened(c: Array) -> tuple[Array, Array]:
@@ -299,14 +304,20 @@ def normalise(source: Mixture, target: Mixture) -> tuple[Mixture, Mixture, Norma
     sides = (source, target)
     variances = [m.variances for m in sides]
     unit = float(quantile(np.concatenate(variances), GOOD_SHARE))
-    relative = [np.clip(v / unit, *VARIANCE_RANGE) for v in variances]
+    relative = [np.minimum(np.maximum(v / unit, VARIANCE_RANGE[0]), VARIANCE_RANGE[1]) for v in variances]
     centres = [m.centroid(m.weights / r) for m, r in zip(sides, relative, strict=True)]
-    certain = [r <= VAGUE if (r <= VAGUE).any() else np.full(len(r), True) for r in relative]
+    certain = [_certain(r) for r in relative]
     scale = max(m.radius(c, m.weights * k) for m, c, k in zip(sides, centres, certain, strict=True))
     for name, m, k in zip(("source", "target"), sides, certain, strict=True):
         _check_resolution(name, _some_points(m, np.flatnonzero(k)), scale)
     moving, fixed = (m.normalised(c, scale, unit, r) for m, c, r in zip(sides, centres, relative, strict=True))
     return moving, fixed, Normalisation(centres[0], centres[1], scale, unit)
+
+
+def _certain(relative: Array) -> NDArray[np.bool_]:
+    """(n,) which points are not flagged as outliers; all where every one is."""
+    certain: NDArray[np.bool_] = relative <= VAGUE
+    return certain if certain.any() else ~certain
 
 
 def _some_points(mixture: Mixture, index: NDArray[np.intp]) -> Array:
@@ -318,7 +329,7 @@ def _some_points(mixture: Mixture, index: NDArray[np.intp]) -> Array:
 
 def _check_resolution(name: str, points: Array, scale: float) -> None:
     """Raise where a few points far away, or the other cloud, make a dot of a cloud's bulk."""
-    bulk = float(quantile(np.linalg.norm(points - quantile(points, 0.5), axis=1), BULK))
+    bulk = math.sqrt(quantile(((points - quantile(points, 0.5)) ** 2).sum(axis=1), BULK))
     if bulk < FINEST * scale:
         raise InputError(
             f"{name}.points: {BULK:.0%} lie within {bulk:.3g} of their median, but the radius of the clouds is "

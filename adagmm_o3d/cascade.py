@@ -16,6 +16,7 @@ from .expectation import SIGMA_FLOOR
 from .kernels.nearest_other import nearest_other_sq
 from .mixture import Mixture
 from .order_statistics import quantile
+from .sampling import some_of
 from .start_search import End, Limits, Start, distinct, joined, pose_distance, run_starts
 
 # Components of the level on which a search tries its many starts and of the one on which few go on, points of the one
@@ -142,12 +143,9 @@ def _spacing(mixture: Mixture) -> float:
 
     Of a large cloud only a part is looked at, and the spacing of the whole, a surface (in 2D a curve), follows from it.
     """
-    index = np.arange(len(mixture))
-    if len(index) > SPACING_FROM:
-        index = np.random.default_rng(0).permutation(index)[:SPACING_FROM]
-    points = mixture.points_at(index)
+    points = mixture.points_at(some_of(np.arange(len(mixture)), SPACING_FROM))
     thinning = (len(points) / len(mixture)) ** (1.0 / (mixture.dimension - 1))
-    probes = np.linspace(0, len(points) - 1, min(PROBES, len(points))).astype(np.intp)
+    probes = some_of(np.arange(len(points)), PROBES)
     squares = np.empty(len(probes))
     nearest_other_sq(np.ascontiguousarray(points.T), probes, squares)
     return math.sqrt(quantile(squares, 0.5)) * thinning

@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .arguments import Array
+from .grouping import Groups
 from .kernels.compiling import LOG2_SCALE
 from .kernels.convolved_pass import pack
 from .kernels.convolved_rows import MATRIX
 from .kernels.farthest_points import farthest_points
 from .kernels.tiles import make_boxes, maxima, morton_order
 from .mixture import Mixture, packed
+from .sampling import some_of
 
 # A cloud is thinned to this many points before it is merged; more say nothing about so few components.
 MERGE_FROM = 4096
@@ -102,23 +104,12 @@ def merge(mixture: Mixture, count: int) -> MergedMixture:
     points, weights = part.points, part.weights
     label = np.empty(len(points), np.int64)
     farthest_points(np.ascontiguousarray(points.T), count, label)
-    order = np.argsort(label, kind="stable")
-    label = label[order]
-    first = np.flatnonzero(np.diff(label, prepend=-1))
-    points, weights = points[order], weights[order]
-    total = np.add.reduceat(weights, first)
-
-    def average(values: Array) -> Array:
-        """(count, …) weighted means of (n, …) values in the order of the labels."""
-        flat = values.reshape(len(values), -1)
-        means = np.add.reduceat(flat * weights[:, None], first) / total[:, None]
-        return means.reshape(-1, *values.shape[1:])
-
-    means = average(points)
-    offsets = points - means.repeat(np.diff(first, append=len(points)), axis=0)
-    spreads = average(offsets[:, :, None] * offsets[:, None, :])
-    shares = total / total.sum()
-    covariances, largest = average(part.covariances[order]), average(part.largest_variances[order])
+    groups = Groups(label, weights)
+    means = groups.means(points)
+    offsets = points - groups.each(means)
+    spreads = groups.means(offsets[:, :, None] * offsets[:, None, :])
+    shares = groups.total / groups.total.sum()
+    covariances, largest = groups.means(part.covariances), groups.means(part.largest_variances)
     return MergedMixture(means, covariances, spreads, shares, largest, mixture.dimension)
 
 
@@ -150,6 +141,4 @@ def _certain(mixture: Mixture, count: int) -> NDArray[np.intp]:
     keep = np.flatnonzero(mixture.variances <= FLAGGED)
     if len(keep) == 0:
         keep = np.arange(len(mixture))
-    if len(keep) > count:
-        keep = np.sort(np.random.default_rng(0).permutation(keep)[:count])
-    return keep
+    return some_of(keep, count)

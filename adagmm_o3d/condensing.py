@@ -13,8 +13,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from .arguments import Array
 from .expectation import SIGMA_FLOOR
+from .grouping import Groups
 from .mixture import Mixture
 
 # Smaller clouds have hardly two points in a cell.
@@ -37,27 +37,17 @@ def condense(mixture: Mixture) -> Mixture:
     """
     if mixture.on_device or len(mixture) < CONDENSED_FROM:
         return mixture
-    cells = _cells(mixture)
-    order = np.argsort(cells, kind="stable")
-    ordered = cells[order]
-    first = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
-    if len(first) > MOST_LEFT * len(mixture):
+    cells = Groups(_cells(mixture), mixture.weights)
+    if len(cells) > MOST_LEFT * len(mixture):
         return mixture
-    weights = mixture.weights[order]
-    total = np.add.reduceat(weights, first)
-
-    def average(values: Array) -> Array:
-        flat = values.reshape(len(values), -1)[order] * weights[:, None]
-        return (np.add.reduceat(flat, first, axis=0) / total[:, None]).reshape(-1, *values.shape[1:])
-
     if mixture.isotropic:
-        covariances = average(mixture.covariances[:, 0, 0])[:, None, None] * np.eye(3)
+        covariances = cells.means(mixture.covariances[:, 0, 0])[:, None, None] * np.eye(3)
         if mixture.dimension == 2:
             covariances[:, 2, 2] = 1.0
     else:
-        covariances = average(mixture.covariances)
-    points = average(mixture.points)
-    return Mixture(points, covariances, total, mixture.dimension, mixture.isotropic, np.full(len(points), True))
+        covariances = cells.means(mixture.covariances)
+    points = cells.means(mixture.points)
+    return Mixture(points, covariances, cells.total, mixture.dimension, mixture.isotropic, np.full(len(points), True))
 
 
 def _cells(mixture: Mixture) -> NDArray[np.int64]:

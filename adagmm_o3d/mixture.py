@@ -23,6 +23,7 @@ from .cloud_checks import (
 )
 from .errors import InputError
 from .order_statistics import quantile
+from .sampling import some_of
 
 # Half of all points may be flagged outliers: the unit of variance is that of a point among the best.
 GOOD_SHARE = 0.125
@@ -322,9 +323,7 @@ def _certain(relative: Array) -> NDArray[np.bool_]:
 
 def _some_points(mixture: Mixture, index: NDArray[np.intp]) -> Array:
     """The points at `index`, of many BULK_FROM."""
-    if len(index) > BULK_FROM:
-        index = np.random.default_rng(0).permutation(index)[:BULK_FROM]
-    return mixture.points_at(index)
+    return mixture.points_at(some_of(index, BULK_FROM))
 
 
 def _check_resolution(name: str, points: Array, scale: float) -> None:

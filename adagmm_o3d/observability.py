@@ -18,6 +18,7 @@ from .coarse import FLAGGED
 from .m_step import FREE
 from .mixture import Mixture
 from .neighbors import NeighborIndex
+from .sampling import some_of
 
 # Clouds are thinned to this many points, so that neighbours are further apart than the noise.
 THINNED = {2: 300, 3: 1000}
@@ -42,9 +43,7 @@ def free_directions(source: Mixture, pose: Array, matched: Array) -> tuple[Array
     radian counts as a shift by one radius; turns are about the target's centroid.
     """
     dimension = source.dimension
-    index = np.flatnonzero((source.variances <= FLAGGED) & np.isfinite(matched))
-    if len(index) > THINNED[dimension]:
-        index = np.sort(np.random.default_rng(0).permutation(index)[: THINNED[dimension]])
+    index = some_of(np.flatnonzero((source.variances <= FLAGGED) & np.isfinite(matched)), THINNED[dimension])
     points = source.points_at(index) @ pose[:3, :3].T + pose[:3, 3]
     weights = matched[index]
     normals = _normals(points, dimension)

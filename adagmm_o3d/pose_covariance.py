@@ -39,6 +39,7 @@ from .mixture import PACKED, Mixture, Normalisation
 from .observability import free_directions, generalised_eigen
 from .pairs import Pairs
 from .result import PoseUncertainty
+from .sampling import some_of
 
 # Of larger clouds that many points' scores are looked at, and their sums stand for those of all.
 SCORED = 1000
@@ -216,10 +217,8 @@ def _side(mixture: Mixture, fit: Fit, pose: Array, weights: Array, axis: int) ->
 
 def _chosen(own: _Side | _ResidentSide) -> tuple[NDArray[np.intp], float]:
     """Which points are looked at, and how many each of them stands for."""
-    n = len(own.index)
-    if n <= SCORED:
-        return np.arange(n), 1.0
-    return np.sort(np.random.default_rng(0).permutation(n)[:SCORED]), n / SCORED
+    chosen = some_of(np.arange(len(own.index)), SCORED)
+    return chosen, len(own.index) / max(1, len(chosen))
 
 
 def _block_sums(points: Array, scores: Array) -> Array:

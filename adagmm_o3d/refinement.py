@@ -1,13 +1,15 @@
 """The last level: the end of the search carried to convergence on all points.
 
 Clouds of up to `cascade.SMALL` points run in one compiled loop. Dense clouds run condensed first, and on all of their
-points only where σ has come down to what the condensed ones can tell apart.
+points only where σ has come down to what the condensed ones can tell apart, by way of ever larger parts of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from .cascade import SMALL, Cascade
 from .condensing import condense
@@ -20,6 +22,7 @@ from .mixture import Mixture
 from .pairs import Pairs
 from .pose_covariance import Fit
 from .result import StopReason
+from .sampling import some_of
 from .start_search import End, Limits, Start, run_starts
 from .trace import Iteration
 
@@ -28,6 +31,10 @@ LEVEL = 3
 # this share of the floor, where few pairs see each other and the pose is long good enough, and falls faster. There it
 # is clear which points belong together, and one posterior of a pair does.
 AT_FLOOR, BELOW_FLOOR, FASTEST_BELOW = 1.2, 0.1, 0.5
+# There a part of the points takes σ down at first: while it is as wide as their spacing all points would meet very many
+# others, and their pairs would grow with the square of their number. Each part has so many times the points of the one
+# before, the first of them no fewer than SAMPLED_FROM; the spacing of a part holds σ up, so the next begins below it.
+DENSER, SAMPLED_FROM, HELD_UP = 4, 20_000, 0.5
 
 Observe = Callable[[Iteration], None]
 
@@ -90,13 +97,29 @@ def refine(
     dense = condensed[0] is not source or condensed[1] is not target
     refined = run(condensed, found, criteria.max_iteration, SIGMA_FLOOR if dense else SAMPLED_SIGMA, FASTEST, mutuality)
     iterations = refined.outcome.iterations
-    left = criteria.max_iteration - len(iterations)
+    below = BELOW_FLOOR * SIGMA_FLOOR
     sharp = refined.outcome.stop_reason is StopReason.CONVERGED and refined.fit.sigma <= AT_FLOOR * SIGMA_FLOOR
-    if dense and sharp and left > 0:
-        begin = replace(refined.fit, sigma=BELOW_FLOOR * SIGMA_FLOOR)
-        refined = run((source, target), begin, left, FINEST_SIGMA, FASTEST_BELOW, 0.0)
+    for sides in _parts(source, target) if dense and sharp else []:
+        left = criteria.max_iteration - len(iterations)
+        if left <= 0:
+            break
+        refined = run(sides, replace(refined.fit, sigma=below), left, FINEST_SIGMA, FASTEST_BELOW, 0.0)
+        below = HELD_UP * refined.fit.sigma
         iterations += refined.outcome.iterations
     return replace(refined, outcome=replace(refined.outcome, iterations=end.iterations + iterations))
+
+
+def _parts(source: Mixture, target: Mixture) -> list[tuple[Mixture, Mixture]]:
+    """At most so many points of either cloud, DENSER times as many each time, in the end all."""
+    count = max(len(source), len(target))
+    sides = [(source, target)]
+    while (count := count // DENSER) >= SAMPLED_FROM:
+        sides.append((_part(source, count), _part(target, count)))
+    return sides[::-1]
+
+
+def _part(mixture: Mixture, count: int) -> Mixture:
+    return mixture.take(some_of(np.arange(len(mixture)), count))
 
 
 def _refine_compiled(cascade: Cascade, end: End, criteria: Criteria, observe: Observe | None) -> tuple[Outcome, Fit]:

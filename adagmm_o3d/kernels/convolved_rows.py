@@ -18,7 +18,8 @@ from .layout import DENSITY, ENERGY, PRECISION, PULL, WEIGHT
 dot = formulas.dot
 adjugate, symmetric_product = formulas.adjugate, formulas.symmetric_product
 
-# The rows of a packed target: coordinates, share of the mixture, factor of the weight, matrix at σ (1 or 6 rows).
+# The rows of a packed target: coordinates, share of the mixture, factor of the weight, matrix at σ (1 or 6 rows). Loops
+# over two indices become vector code because neither can count from the end: one is a constant, one unsigned.
 X, SHARE, FACTOR, MATRIX = 0, 3, 4, 5
 WHOLE = np.uint64(TILE)
 
@@ -30,18 +31,9 @@ def whole_tiles(i, j):
 
 
 @njit(**FLAGS)
-def rows_of(target, i, j):
-    """Coordinates, share and factor of points i..j of a packed target. Loops over rows taken apart become vector code;
-    with two indices they would not."""
-    return target[X, i:j], target[X + 1, i:j], target[X + 2, i:j], target[SHARE, i:j], target[FACTOR, i:j]
-
-
-@njit(**FLAGS)
 def moments_full(target, i, j, y, turned, rows):
     """Add to `rows` (points, layout.ROW_SUMS) the pairs of source points `y` (3, points) of matrices `turned`."""
-    x0, x1, x2, share, factor = rows_of(target, i, j)
-    a0, a1, a2 = target[MATRIX, i:j], target[MATRIX + 1, i:j], target[MATRIX + 2, i:j]
-    a3, a4, a5 = target[MATRIX + 3, i:j], target[MATRIX + 4, i:j], target[MATRIX + 5, i:j]
+    first = np.uint64(i)
     for k in range(rows.shape[0]):
         y0, y1, y2 = y[0, k], y[1, k], y[2, k]
         b0, b1, b2, b3, b4, b5 = turned[k, 0], turned[k, 1], turned[k, 2], turned[k, 3], turned[k, 4], turned[k, 5]
@@ -57,23 +49,27 @@ def moments_full(target, i, j, y, turned, rows):
         u0 = F0
         u1 = F0
         u2 = F0
-        for n in range(whole_tiles(i, j)):
-            dx = y0 - x0[n]
-            dy = y1 - x1[n]
-            dz = y2 - x2[n]
-            s0 = a0[n] + b0
-            s1 = a1[n] + b1
-            s2 = a2[n] + b2
-            c0, c1, c2, c3, c4, c5 = adjugate(s0, s1, s2, a3[n] + b3, a4[n] + b4, a5[n] + b5)
+        for m in range(whole_tiles(i, j)):
+            n = first + m
+            dx = y0 - target[X, n]
+            dy = y1 - target[X + 1, n]
+            dz = y2 - target[X + 2, n]
+            s0 = target[MATRIX, n] + b0
+            s1 = target[MATRIX + 1, n] + b1
+            s2 = target[MATRIX + 2, n] + b2
+            c0, c1, c2, c3, c4, c5 = adjugate(
+                s0, s1, s2, target[MATRIX + 3, n] + b3, target[MATRIX + 4, n] + b4, target[MATRIX + 5, n] + b5
+            )
             root = F1 / math.sqrt(dot(s0, s1, s2, c0, c1, c2))
             inverse = root * root
             vx, vy, vz = symmetric_product(c0, c1, c2, c3, c4, c5, dx, dy, dz)
             q = dot(dx, dy, dz, vx, vy, vz) * inverse
             fraction, whole = exp2_parts(-q)
-            g = fraction * (share[n] * root * whole)
+            factor = target[FACTOR, n]
+            g = fraction * (target[SHARE, n] * root * whole)
             density += g
-            c = g * factor[n]
-            f = g * (factor[n] * inverse)
+            c = g * factor
+            f = g * (factor * inverse)
             w += c
             e += c * q
             p0 += f * c0
@@ -102,8 +98,7 @@ def moments_full(target, i, j, y, turned, rows):
 @njit(**FLAGS)
 def moments_planar(target, i, j, y, turned, rows):
     """The same in the plane."""
-    x0, x1, _, share, factor = rows_of(target, i, j)
-    a0, a1, a3 = target[MATRIX, i:j], target[MATRIX + 1, i:j], target[MATRIX + 3, i:j]
+    first = np.uint64(i)
     for k in range(rows.shape[0]):
         y0, y1 = y[0, k], y[1, k]
         b0, b1, b3 = turned[k, 0], turned[k, 1], turned[k, 3]
@@ -115,22 +110,24 @@ def moments_planar(target, i, j, y, turned, rows):
         p3 = F0
         u0 = F0
         u1 = F0
-        for n in range(whole_tiles(i, j)):
-            dx = y0 - x0[n]
-            dy = y1 - x1[n]
-            s0 = a0[n] + b0
-            s1 = a1[n] + b1
-            s3 = a3[n] + b3
+        for m in range(whole_tiles(i, j)):
+            n = first + m
+            dx = y0 - target[X, n]
+            dy = y1 - target[X + 1, n]
+            s0 = target[MATRIX, n] + b0
+            s1 = target[MATRIX + 1, n] + b1
+            s3 = target[MATRIX + 3, n] + b3
             root = F1 / math.sqrt(s0 * s3 - s1 * s1)
             inverse = root * root
             vx = s3 * dx - s1 * dy
             vy = s0 * dy - s1 * dx
             q = (dx * vx + dy * vy) * inverse
             fraction, whole = exp2_parts(-q)
-            g = fraction * (share[n] * root * whole)
+            factor = target[FACTOR, n]
+            g = fraction * (target[SHARE, n] * root * whole)
             density += g
-            c = g * factor[n]
-            f = g * (factor[n] * inverse)
+            c = g * factor
+            f = g * (factor * inverse)
             w += c
             e += c * q
             p0 += f * s3
@@ -151,8 +148,7 @@ def moments_planar(target, i, j, y, turned, rows):
 @njit(**FLAGS)
 def moments_isotropic(target, i, j, planar, y, turned, rows):
     """The same where every covariance is a multiple of the identity."""
-    x0, x1, x2, share, factor = rows_of(target, i, j)
-    a = target[MATRIX, i:j]
+    first = np.uint64(i)
     for k in range(rows.shape[0]):
         y0, y1, y2, b = y[0, k], y[1, k], y[2, k], turned[k, 0]
         w = F0
@@ -162,19 +158,21 @@ def moments_isotropic(target, i, j, planar, y, turned, rows):
         u0 = F0
         u1 = F0
         u2 = F0
-        for n in range(whole_tiles(i, j)):
-            dx = y0 - x0[n]
-            dy = y1 - x1[n]
-            dz = y2 - x2[n]
-            root = F1 / math.sqrt(a[n] + b)
+        for m in range(whole_tiles(i, j)):
+            n = first + m
+            dx = y0 - target[X, n]
+            dy = y1 - target[X + 1, n]
+            dz = y2 - target[X + 2, n]
+            root = F1 / math.sqrt(target[MATRIX, n] + b)
             precision = root * root
             q = precision * dot(dx, dy, dz, dx, dy, dz)
             # |Σ|^(-1/2): the precision to the power D / 2.
             fraction, whole = exp2_parts(-q)
-            g = fraction * (share[n] * precision * (F1 if planar else root) * whole)
+            factor = target[FACTOR, n]
+            g = fraction * (target[SHARE, n] * precision * (F1 if planar else root) * whole)
             density += g
-            c = g * factor[n]
-            f = g * (factor[n] * precision)
+            c = g * factor
+            f = g * (factor * precision)
             w += c
             e += c * q
             p += f
@@ -196,71 +194,70 @@ def moments_isotropic(target, i, j, planar, y, turned, rows):
 def densities_full(target, i, j, own, y, turned, columns, rows):
     """Add the target's density at source points `y` of weights `own` to `rows`, and theirs at its points to `columns`
     (as long as the target), each times the weight of the target point."""
-    x0, x1, x2, share, _ = rows_of(target, i, j)
-    a0, a1, a2 = target[MATRIX, i:j], target[MATRIX + 1, i:j], target[MATRIX + 2, i:j]
-    a3, a4, a5 = target[MATRIX + 3, i:j], target[MATRIX + 4, i:j], target[MATRIX + 5, i:j]
-    column = columns[i:j]
+    first = np.uint64(i)
     for k in range(rows.shape[0]):
         y0, y1, y2, weight = y[0, k], y[1, k], y[2, k], own[k]
         b0, b1, b2, b3, b4, b5 = turned[k, 0], turned[k, 1], turned[k, 2], turned[k, 3], turned[k, 4], turned[k, 5]
         density = F0
-        for n in range(whole_tiles(i, j)):
-            dx = y0 - x0[n]
-            dy = y1 - x1[n]
-            dz = y2 - x2[n]
-            s0 = a0[n] + b0
-            s1 = a1[n] + b1
-            s2 = a2[n] + b2
-            c0, c1, c2, c3, c4, c5 = adjugate(s0, s1, s2, a3[n] + b3, a4[n] + b4, a5[n] + b5)
+        for m in range(whole_tiles(i, j)):
+            n = first + m
+            dx = y0 - target[X, n]
+            dy = y1 - target[X + 1, n]
+            dz = y2 - target[X + 2, n]
+            s0 = target[MATRIX, n] + b0
+            s1 = target[MATRIX + 1, n] + b1
+            s2 = target[MATRIX + 2, n] + b2
+            c0, c1, c2, c3, c4, c5 = adjugate(
+                s0, s1, s2, target[MATRIX + 3, n] + b3, target[MATRIX + 4, n] + b4, target[MATRIX + 5, n] + b5
+            )
             root = F1 / math.sqrt(dot(s0, s1, s2, c0, c1, c2))
             vx, vy, vz = symmetric_product(c0, c1, c2, c3, c4, c5, dx, dy, dz)
             q = dot(dx, dy, dz, vx, vy, vz) * (root * root)
-            g = share[n] * root * exp2_float32(-q)
+            g = target[SHARE, n] * root * exp2_float32(-q)
             density += g
-            column[n] += weight * g
+            columns[n] += weight * g
         rows[k, DENSITY] += density
 
 
 @njit(**FLAGS)
 def densities_planar(target, i, j, own, y, turned, columns, rows):
     """The same in the plane."""
-    x0, x1, _, share, _ = rows_of(target, i, j)
-    a0, a1, a3 = target[MATRIX, i:j], target[MATRIX + 1, i:j], target[MATRIX + 3, i:j]
-    column = columns[i:j]
+    first = np.uint64(i)
     for k in range(rows.shape[0]):
         y0, y1, weight = y[0, k], y[1, k], own[k]
         b0, b1, b3 = turned[k, 0], turned[k, 1], turned[k, 3]
         density = F0
-        for n in range(whole_tiles(i, j)):
-            dx = y0 - x0[n]
-            dy = y1 - x1[n]
-            s0 = a0[n] + b0
-            s1 = a1[n] + b1
-            s3 = a3[n] + b3
+        for m in range(whole_tiles(i, j)):
+            n = first + m
+            dx = y0 - target[X, n]
+            dy = y1 - target[X + 1, n]
+            s0 = target[MATRIX, n] + b0
+            s1 = target[MATRIX + 1, n] + b1
+            s3 = target[MATRIX + 3, n] + b3
             root = F1 / math.sqrt(s0 * s3 - s1 * s1)
             q = (dx * (s3 * dx - s1 * dy) + dy * (s0 * dy - s1 * dx)) * (root * root)
-            g = share[n] * root * exp2_float32(-q)
+            g = target[SHARE, n] * root * exp2_float32(-q)
             density += g
-            column[n] += weight * g
+            columns[n] += weight * g
         rows[k, DENSITY] += density
 
 
 @njit(**FLAGS)
 def densities_isotropic(target, i, j, planar, own, y, turned, columns, rows):
     """The same where every covariance is a multiple of the identity."""
-    x0, x1, x2, share, _ = rows_of(target, i, j)
-    a, column = target[MATRIX, i:j], columns[i:j]
+    first = np.uint64(i)
     for k in range(rows.shape[0]):
         y0, y1, y2, b, weight = y[0, k], y[1, k], y[2, k], turned[k, 0], own[k]
         density = F0
-        for n in range(whole_tiles(i, j)):
-            dx = y0 - x0[n]
-            dy = y1 - x1[n]
-            dz = y2 - x2[n]
-            root = F1 / math.sqrt(a[n] + b)
+        for m in range(whole_tiles(i, j)):
+            n = first + m
+            dx = y0 - target[X, n]
+            dy = y1 - target[X + 1, n]
+            dz = y2 - target[X + 2, n]
+            root = F1 / math.sqrt(target[MATRIX, n] + b)
             precision = root * root
             q = precision * dot(dx, dy, dz, dx, dy, dz)
-            g = share[n] * precision * (F1 if planar else root) * exp2_float32(-q)
+            g = target[SHARE, n] * precision * (F1 if planar else root) * exp2_float32(-q)
             density += g
-            column[n] += weight * g
+            columns[n] += weight * g
         rows[k, DENSITY] += density

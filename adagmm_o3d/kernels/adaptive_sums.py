@@ -11,19 +11,19 @@ from .compiling import F0, F1, FLAGS, KERNEL_FLAGS, formulas, source_stamp
 from .culling import CLUSTER, CLUSTERS_PER_CHUNK, RUN, cluster_box, largest, next_run
 from .exp2 import exp2_float32
 from .layout import ENERGY, PRECISION, PULL, ROW_SUMS, TURN, WEIGHT
-from .normal_equations import add_row
+from .normal_equations import add_rows
 from .turning import turn_symmetric
 
 symmetric_product, dot, cross = formulas.symmetric_product, formulas.dot, formulas.cross
 
 
 @njit(**FLAGS)
-def rows_anisotropic(x, a, amplitudes, i, j, y, turned, rows):
-    """Add to `rows` (points, layout.ROW_SUMS) the pairs of source points `y` (3, points) of matrices `turned` with the
-    target points i..j."""
+def rows_anisotropic(x, a, amplitudes, i, j, count, y, turned, rows):
+    """Add to `rows` (layout.ROW_SUMS, points) the pairs of `count` source points `y` (3, points), their precisions
+    `turned` (points, 6), with the target points i..j."""
     x0, x1, x2, amplitude = x[0, i:j], x[1, i:j], x[2, i:j], amplitudes[i:j]
     a0, a1, a2, a3, a4, a5 = a[0, i:j], a[1, i:j], a[2, i:j], a[3, i:j], a[4, i:j], a[5, i:j]
-    for k in range(rows.shape[0]):
+    for k in range(count):
         y0, y1, y2 = y[0, k], y[1, k], y[2, k]
         b0, b1, b2, b3, b4, b5 = turned[k, 0], turned[k, 1], turned[k, 2], turned[k, 3], turned[k, 4], turned[k, 5]
         w = F0
@@ -64,31 +64,31 @@ def rows_anisotropic(x, a, amplitudes, i, j, y, turned, rows):
             t0 += c * tx
             t1 += c * ty
             t2 += c * tz
-        rows[k, WEIGHT] += w
-        rows[k, ENERGY] += e
-        rows[k, PRECISION] += p0
-        rows[k, PRECISION + 1] += p1
-        rows[k, PRECISION + 2] += p2
-        rows[k, PRECISION + 3] += p3
-        rows[k, PRECISION + 4] += p4
-        rows[k, PRECISION + 5] += p5
-        rows[k, PULL] += u0
-        rows[k, PULL + 1] += u1
-        rows[k, PULL + 2] += u2
-        rows[k, TURN] += t0
-        rows[k, TURN + 1] += t1
-        rows[k, TURN + 2] += t2
+        rows[WEIGHT, k] += w
+        rows[ENERGY, k] += e
+        rows[PRECISION, k] += p0
+        rows[PRECISION + 1, k] += p1
+        rows[PRECISION + 2, k] += p2
+        rows[PRECISION + 3, k] += p3
+        rows[PRECISION + 4, k] += p4
+        rows[PRECISION + 5, k] += p5
+        rows[PULL, k] += u0
+        rows[PULL + 1, k] += u1
+        rows[PULL + 2, k] += u2
+        rows[TURN, k] += t0
+        rows[TURN + 1, k] += t1
+        rows[TURN + 2, k] += t2
 
 
 @njit(**FLAGS)
-def rows_isotropic(x, precisions, amplitudes, i, j, y, turned, weights, rows):
+def rows_isotropic(x, precisions, amplitudes, i, j, count, y, turned, weights, rows):
     """The same where every precision is a multiple of the identity: nothing turns, three directions share one sum.
 
     `weights` is room for those of so many pairs: the constants of the exponentials and the sums would not fit into the
     registers together.
     """
     x0, x1, x2, a, amplitude = x[0, i:j], x[1, i:j], x[2, i:j], precisions[0, i:j], amplitudes[i:j]
-    for k in range(rows.shape[0]):
+    for k in range(count):
         y0, y1, y2, b = y[0, k], y[1, k], y[2, k], turned[k, 0]
         for n in range(x0.shape[0]):
             dx = y0 - x0[n]
@@ -114,14 +114,21 @@ def rows_isotropic(x, precisions, amplitudes, i, j, y, turned, weights, rows):
             u0 += f * dx
             u1 += f * dy
             u2 += f * dz
-        rows[k, WEIGHT] += w
-        rows[k, ENERGY] += e
-        rows[k, PRECISION] += p
-        rows[k, PRECISION + 3] += p
-        rows[k, PRECISION + 5] += p
-        rows[k, PULL] += u0
-        rows[k, PULL + 1] += u1
-        rows[k, PULL + 2] += u2
+        rows[WEIGHT, k] += w
+        rows[ENERGY, k] += e
+        rows[PRECISION, k] += p
+        rows[PRECISION + 3, k] += p
+        rows[PRECISION + 5, k] += p
+        rows[PULL, k] += u0
+        rows[PULL + 1, k] += u1
+        rows[PULL + 2, k] += u2
+
+
+@njit(**FLAGS)
+def add_own_precision(rows, k, turned):
+    """Make Σ C (A + B) of source point k out of Σ C A, B its own precision."""
+    for i in range(6):
+        rows[PRECISION + i, k] += rows[WEIGHT, k] * turned[k, i]
 
 
 def _build(stamp):
@@ -150,7 +157,7 @@ def _build(stamp):
                     break
                 cluster_box(pose, points, m0, m1, y, lo, hi)
                 box = (lo, hi, sigmas[0] * largest(variances, m0, m1), largest(bits, m0, m1))
-                rows = np.zeros((m1 - m0, ROW_SUMS), np.float64)
+                rows = np.zeros((ROW_SUMS, CLUSTER), np.float64)
                 for m in range(m0, m1):
                     turn_symmetric(pose, precisions, F1 / sigmas[0], isotropic, m, turned, m - m0)
                 tile = 0
@@ -159,13 +166,13 @@ def _build(stamp):
                     if i >= j:
                         break
                     if isotropic:
-                        rows_isotropic(x, a, target_amplitudes, i, j, y, turned, weights, rows)
+                        rows_isotropic(x, a, target_amplitudes, i, j, m1 - m0, y, turned, weights, rows)
                     else:
-                        rows_anisotropic(x, a, target_amplitudes, i, j, y, turned, rows)
+                        rows_anisotropic(x, a, target_amplitudes, i, j, m1 - m0, y, turned, rows)
                 for m in range(m0, m1):
-                    k = m - m0
-                    row_weights[m] = amplitudes[m] * rows[k, WEIGHT]
-                    add_row(rows, k, amplitudes[m], y[0, k], y[1, k], y[2, k], turned, total)
+                    row_weights[m] = amplitudes[m] * rows[WEIGHT, m - m0]
+                    add_own_precision(rows, m - m0, turned)
+                add_rows(rows, m1 - m0, amplitudes[m0:m1], y, total)
 
     return adaptive_sums
 

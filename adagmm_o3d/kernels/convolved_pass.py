@@ -28,7 +28,7 @@ from .convolved_rows import (
 )
 from .culling import BLOCK, CLUSTER, GROUP, RUN, TILE, cluster_box, largest, reach
 from .layout import DENSITY, ROW_SUMS, TOTAL_MATCHED, TOTAL_SUMS
-from .normal_equations import add_row
+from .normal_equations import add_rows
 from .turning import turn_symmetric
 
 # Points are filled up to a multiple of this, the floats of the widest vector register, with points of no weight: no
@@ -56,22 +56,22 @@ def pack(points: NDArray[np.float32], weights: NDArray[np.floating], matrix_rows
 
 
 @njit(**FLAGS)
-def run_rows(target, i, j, kind, own, y, turned, columns, rows):
-    """The pairs of a cluster's points with packed target points i..j."""
+def run_rows(target, i, j, kind, count, own, y, turned, columns, rows):
+    """The pairs of the `count` points of a cluster with packed target points i..j."""
     planar, isotropic, densities_only = kind
     if densities_only:
         if isotropic:
-            densities_isotropic(target, i, j, planar, own, y, turned, columns, rows)
+            densities_isotropic(target, i, j, planar, count, own, y, turned, columns, rows)
         elif planar:
-            densities_planar(target, i, j, own, y, turned, columns, rows)
+            densities_planar(target, i, j, count, own, y, turned, columns, rows)
         else:
-            densities_full(target, i, j, own, y, turned, columns, rows)
+            densities_full(target, i, j, count, own, y, turned, columns, rows)
     elif isotropic:
-        moments_isotropic(target, i, j, planar, y, turned, rows)
+        moments_isotropic(target, i, j, planar, count, y, turned, rows)
     elif planar:
-        moments_planar(target, i, j, y, turned, rows)
+        moments_planar(target, i, j, count, y, turned, rows)
     else:
-        moments_full(target, i, j, y, turned, rows)
+        moments_full(target, i, j, count, y, turned, rows)
 
 
 @njit(**FLAGS)
@@ -125,14 +125,14 @@ def convolved_pass(band, bands, pose, source, target, tiles, kind, uniform, mutu
     _, isotropic, densities_only = kind
     m_all = points.shape[1]
     tile_count, group_count = tile_lo.shape[1], group_lo.shape[1]
-    still = np.zeros((CLUSTER, 6), np.float32)
     y = np.empty((3, CLUSTER), np.float32)
     y_block = np.empty((3, BLOCK * CLUSTER), np.float32)
     lo = np.empty(3, np.float32)
     hi = np.empty(3, np.float32)
     own = np.empty(CLUSTER, np.float32)
     turned = np.empty((CLUSTER, 6), np.float32)
-    all_rows = np.empty((CLUSTER, ROW_SUMS), np.float64)
+    rows = np.empty((ROW_SUMS, CLUSTER), np.float64)
+    amplitudes = np.empty(CLUSTER, np.float64)
     beyond, beyond_points = np.empty(GROUP, np.float32), np.empty(TILE, np.float32)
     beyond_groups, groups = np.empty(group_count, np.float32), np.empty(group_count, np.int64)
     index = np.empty(RUN, np.uint32)
@@ -163,12 +163,10 @@ def convolved_pass(band, bands, pose, source, target, tiles, kind, uniform, mutu
         m1 = min(m_all, m0 + CLUSTER)
         cluster_box(pose, points, m0, m1, y, lo, hi)
         variance, own_bits = largest(variances, m0, m1), largest(bits, m0, m1)
-        rows = all_rows[: m1 - m0]
+        rows[:] = 0.0
         for k in range(m1 - m0):
             own[k] = weights32[m0 + k]
             turn_symmetric(pose, matrices, F1, isotropic, m0 + k, turned, k)
-            for i in range(ROW_SUMS):
-                rows[k, i] = 0.0
         count = ZERO
         i = 0
         while i < met or count > 0:
@@ -200,7 +198,7 @@ def convolved_pass(band, bands, pose, source, target, tiles, kind, uniform, mutu
                     continue
                 n0, n1 = first * TILE, last * TILE
                 run, run_columns = packed, columns
-            run_rows(run, n0, n1, kind, own, y, turned, run_columns, rows)
+            run_rows(run, n0, n1, kind, m1 - m0, own, y, turned, run_columns, rows)
             if gathered:
                 if densities_only:
                     for k in range(count):
@@ -208,12 +206,13 @@ def convolved_pass(band, bands, pose, source, target, tiles, kind, uniform, mutu
                 count = ZERO
         for k in range(m1 - m0):
             m = m0 + k
-            density = rows[k, DENSITY]
+            density = rows[DENSITY, k]
             densities[m] = density
             if not densities_only:
                 posterior = 1.0 / (density + uniform)
                 total[TOTAL_MATCHED] += weights[m] * density * posterior
-                scale = weights[m] * posterior
+                amplitudes[k] = weights[m] * posterior
                 if mutuality > 0.0:
-                    scale *= (posterior * uniform) ** -mutuality
-                add_row(rows, k, scale, y[0, k], y[1, k], y[2, k], still, total)
+                    amplitudes[k] *= (posterior * uniform) ** -mutuality
+        if not densities_only:
+            add_rows(rows, m1 - m0, amplitudes, y, total)

@@ -31,10 +31,11 @@ def whole_tiles(i, j):
 
 
 @njit(**FLAGS)
-def moments_full(target, i, j, y, turned, rows):
-    """Add to `rows` (points, layout.ROW_SUMS) the pairs of source points `y` (3, points) of matrices `turned`."""
+def moments_full(target, i, j, count, y, turned, rows):
+    """Add to `rows` (layout.ROW_SUMS, points) the pairs of `count` source points `y` (3, points), their matrices
+    `turned` (points, 6)."""
     first = np.uint64(i)
-    for k in range(rows.shape[0]):
+    for k in range(count):
         y0, y1, y2 = y[0, k], y[1, k], y[2, k]
         b0, b1, b2, b3, b4, b5 = turned[k, 0], turned[k, 1], turned[k, 2], turned[k, 3], turned[k, 4], turned[k, 5]
         w = F0
@@ -81,25 +82,25 @@ def moments_full(target, i, j, y, turned, rows):
             u0 += f * vx
             u1 += f * vy
             u2 += f * vz
-        rows[k, WEIGHT] += w
-        rows[k, ENERGY] += e
-        rows[k, PRECISION] += p0
-        rows[k, PRECISION + 1] += p1
-        rows[k, PRECISION + 2] += p2
-        rows[k, PRECISION + 3] += p3
-        rows[k, PRECISION + 4] += p4
-        rows[k, PRECISION + 5] += p5
-        rows[k, PULL] += u0
-        rows[k, PULL + 1] += u1
-        rows[k, PULL + 2] += u2
-        rows[k, DENSITY] += density
+        rows[WEIGHT, k] += w
+        rows[ENERGY, k] += e
+        rows[PRECISION, k] += p0
+        rows[PRECISION + 1, k] += p1
+        rows[PRECISION + 2, k] += p2
+        rows[PRECISION + 3, k] += p3
+        rows[PRECISION + 4, k] += p4
+        rows[PRECISION + 5, k] += p5
+        rows[PULL, k] += u0
+        rows[PULL + 1, k] += u1
+        rows[PULL + 2, k] += u2
+        rows[DENSITY, k] += density
 
 
 @njit(**FLAGS)
-def moments_planar(target, i, j, y, turned, rows):
+def moments_planar(target, i, j, count, y, turned, rows):
     """The same in the plane."""
     first = np.uint64(i)
-    for k in range(rows.shape[0]):
+    for k in range(count):
         y0, y1 = y[0, k], y[1, k]
         b0, b1, b3 = turned[k, 0], turned[k, 1], turned[k, 3]
         w = F0
@@ -135,21 +136,21 @@ def moments_planar(target, i, j, y, turned, rows):
             p3 += f * s0
             u0 += f * vx
             u1 += f * vy
-        rows[k, WEIGHT] += w
-        rows[k, ENERGY] += e
-        rows[k, PRECISION] += p0
-        rows[k, PRECISION + 1] += p1
-        rows[k, PRECISION + 3] += p3
-        rows[k, PULL] += u0
-        rows[k, PULL + 1] += u1
-        rows[k, DENSITY] += density
+        rows[WEIGHT, k] += w
+        rows[ENERGY, k] += e
+        rows[PRECISION, k] += p0
+        rows[PRECISION + 1, k] += p1
+        rows[PRECISION + 3, k] += p3
+        rows[PULL, k] += u0
+        rows[PULL + 1, k] += u1
+        rows[DENSITY, k] += density
 
 
 @njit(**FLAGS)
-def moments_isotropic(target, i, j, planar, y, turned, rows):
+def moments_isotropic(target, i, j, planar, count, y, turned, rows):
     """The same where every covariance is a multiple of the identity."""
     first = np.uint64(i)
-    for k in range(rows.shape[0]):
+    for k in range(count):
         y0, y1, y2, b = y[0, k], y[1, k], y[2, k], turned[k, 0]
         w = F0
         e = F0
@@ -179,23 +180,23 @@ def moments_isotropic(target, i, j, planar, y, turned, rows):
             u0 += f * dx
             u1 += f * dy
             u2 += f * dz
-        rows[k, WEIGHT] += w
-        rows[k, ENERGY] += e
-        rows[k, PRECISION] += p
-        rows[k, PRECISION + 3] += p
-        rows[k, PRECISION + 5] += p
-        rows[k, PULL] += u0
-        rows[k, PULL + 1] += u1
-        rows[k, PULL + 2] += u2
-        rows[k, DENSITY] += density
+        rows[WEIGHT, k] += w
+        rows[ENERGY, k] += e
+        rows[PRECISION, k] += p
+        rows[PRECISION + 3, k] += p
+        rows[PRECISION + 5, k] += p
+        rows[PULL, k] += u0
+        rows[PULL + 1, k] += u1
+        rows[PULL + 2, k] += u2
+        rows[DENSITY, k] += density
 
 
 @njit(**FLAGS)
-def densities_full(target, i, j, own, y, turned, columns, rows):
+def densities_full(target, i, j, count, own, y, turned, columns, rows):
     """Add the target's density at source points `y` of weights `own` to `rows`, and theirs at its points to `columns`
     (as long as the target), each times the weight of the target point."""
     first = np.uint64(i)
-    for k in range(rows.shape[0]):
+    for k in range(count):
         y0, y1, y2, weight = y[0, k], y[1, k], y[2, k], own[k]
         b0, b1, b2, b3, b4, b5 = turned[k, 0], turned[k, 1], turned[k, 2], turned[k, 3], turned[k, 4], turned[k, 5]
         density = F0
@@ -216,14 +217,14 @@ def densities_full(target, i, j, own, y, turned, columns, rows):
             g = target[SHARE, n] * root * exp2_float32(-q)
             density += g
             columns[n] += weight * g
-        rows[k, DENSITY] += density
+        rows[DENSITY, k] += density
 
 
 @njit(**FLAGS)
-def densities_planar(target, i, j, own, y, turned, columns, rows):
+def densities_planar(target, i, j, count, own, y, turned, columns, rows):
     """The same in the plane."""
     first = np.uint64(i)
-    for k in range(rows.shape[0]):
+    for k in range(count):
         y0, y1, weight = y[0, k], y[1, k], own[k]
         b0, b1, b3 = turned[k, 0], turned[k, 1], turned[k, 3]
         density = F0
@@ -239,14 +240,14 @@ def densities_planar(target, i, j, own, y, turned, columns, rows):
             g = target[SHARE, n] * root * exp2_float32(-q)
             density += g
             columns[n] += weight * g
-        rows[k, DENSITY] += density
+        rows[DENSITY, k] += density
 
 
 @njit(**FLAGS)
-def densities_isotropic(target, i, j, planar, own, y, turned, columns, rows):
+def densities_isotropic(target, i, j, planar, count, own, y, turned, columns, rows):
     """The same where every covariance is a multiple of the identity."""
     first = np.uint64(i)
-    for k in range(rows.shape[0]):
+    for k in range(count):
         y0, y1, y2, b, weight = y[0, k], y[1, k], y[2, k], turned[k, 0], own[k]
         density = F0
         for m in range(whole_tiles(i, j)):
@@ -260,4 +261,4 @@ def densities_isotropic(target, i, j, planar, own, y, turned, columns, rows):
             g = target[SHARE, n] * precision * (F1 if planar else root) * exp2_float32(-q)
             density += g
             columns[n] += weight * g
-        rows[k, DENSITY] += density
+        rows[DENSITY, k] += density

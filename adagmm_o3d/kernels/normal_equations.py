@@ -1,5 +1,6 @@
-"""The sums of one source point turned into its share of the M-step's 6x6 system, in float64."""
+"""The sums of a cluster of source points turned into their share of the M-step's 6x6 system, in float64."""
 
+import numpy as np
 from numba import njit
 
 from .compiling import FLAGS, formulas
@@ -9,26 +10,59 @@ normal_equations = formulas.normal_equations
 
 
 @njit(**FLAGS)
-def add_row(rows, k, amplitude, y0, y1, y2, turned, total):
-    """Turn the sums of source point k into its share of the M-step's 6x6 system (layout.TOTAL_SUMS), float64."""
-    w = amplitude * rows[k, WEIGHT]
-    p0 = amplitude * rows[k, PRECISION] + w * turned[k, 0]
-    p1 = amplitude * rows[k, PRECISION + 1] + w * turned[k, 1]
-    p2 = amplitude * rows[k, PRECISION + 2] + w * turned[k, 2]
-    p3 = amplitude * rows[k, PRECISION + 3] + w * turned[k, 3]
-    p4 = amplitude * rows[k, PRECISION + 4] + w * turned[k, 4]
-    p5 = amplitude * rows[k, PRECISION + 5] + w * turned[k, 5]
-    u0 = amplitude * rows[k, PULL]
-    u1 = amplitude * rows[k, PULL + 1]
-    u2 = amplitude * rows[k, PULL + 2]
-    # By name: Numba looks an entry of a tuple up by a number known only in a loop through a jump table.
-    (
-        h00, h01, h02, h03, h04, h05, h11, h12, h13, h14, h15, h22, h23, h24, h25, h33, h34, h35, h44, h45, h55,
-        g0, g1, g2, g3, g4, g5,
-    ) = normal_equations(
-        y0, y1, y2, p0, p1, p2, p3, p4, p5, u0, u1, u2,
-        amplitude * rows[k, TURN], amplitude * rows[k, TURN + 1], amplitude * rows[k, TURN + 2],
-    )  # fmt: skip
+def add_rows(rows, count, amplitudes, y, total):
+    """Turn the sums of `count` source points `y` (3, points) into their share of the M-step's system.
+
+    rows : (layout.ROW_SUMS, points).   amplitudes : (points,), by which each point's sums are multiplied.
+    total : (layout.TOTAL_SUMS,).
+    """
+    # Points side by side in vectors, each sum in a variable of its own.
+    h00 = h01 = h02 = h03 = h04 = h05 = h11 = h12 = h13 = h14 = h15 = 0.0
+    h22 = h23 = h24 = h25 = h33 = h34 = h35 = h44 = h45 = h55 = 0.0
+    g0 = g1 = g2 = g3 = g4 = g5 = weight = energy = 0.0
+    for k in range(count):
+        amplitude = amplitudes[k]
+        # By name: Numba looks an entry of a tuple up by a number known only in a loop through a jump table.
+        (
+            a00, a01, a02, a03, a04, a05, a11, a12, a13, a14, a15,
+            a22, a23, a24, a25, a33, a34, a35, a44, a45, a55,
+            b0, b1, b2, b3, b4, b5,
+        ) = normal_equations(
+            np.float64(y[0, k]), np.float64(y[1, k]), np.float64(y[2, k]),
+            amplitude * rows[PRECISION, k], amplitude * rows[PRECISION + 1, k], amplitude * rows[PRECISION + 2, k],
+            amplitude * rows[PRECISION + 3, k], amplitude * rows[PRECISION + 4, k], amplitude * rows[PRECISION + 5, k],
+            amplitude * rows[PULL, k], amplitude * rows[PULL + 1, k], amplitude * rows[PULL + 2, k],
+            amplitude * rows[TURN, k], amplitude * rows[TURN + 1, k], amplitude * rows[TURN + 2, k],
+        )  # fmt: skip
+        h00 += a00
+        h01 += a01
+        h02 += a02
+        h03 += a03
+        h04 += a04
+        h05 += a05
+        h11 += a11
+        h12 += a12
+        h13 += a13
+        h14 += a14
+        h15 += a15
+        h22 += a22
+        h23 += a23
+        h24 += a24
+        h25 += a25
+        h33 += a33
+        h34 += a34
+        h35 += a35
+        h44 += a44
+        h45 += a45
+        h55 += a55
+        g0 += b0
+        g1 += b1
+        g2 += b2
+        g3 += b3
+        g4 += b4
+        g5 += b5
+        weight += amplitude * rows[WEIGHT, k]
+        energy += amplitude * rows[ENERGY, k]
     total[HESSIAN] += h00
     total[HESSIAN + 1] += h01
     total[HESSIAN + 2] += h02
@@ -56,5 +90,5 @@ def add_row(rows, k, amplitude, y0, y1, y2, turned, total):
     total[GRADIENT + 3] += g3
     total[GRADIENT + 4] += g4
     total[GRADIENT + 5] += g5
-    total[TOTAL_WEIGHT] += w
-    total[TOTAL_ENERGY] += amplitude * rows[k, ENERGY]
+    total[TOTAL_WEIGHT] += weight
+    total[TOTAL_ENERGY] += energy

@@ -37,6 +37,7 @@ SIDES, DENSE = OppositeSides(3, 0, 0, None), DenseSurface(40_000)
 CASES = {
     "adagmm-without-mutuality": DenseSurface(3000),
     "adagmm-without-condensing": DENSE,
+    "adagmm-without-parts": DenseSurface(80_000),
     "adagmm-without-turned-starts": DENSE,
     "adagmm-always-searching": SimulatedProblem(TrialId(3, "rotation", -60.0, 0), None),
     "adagmm-tight-at-any-overlap": SmallParts(),

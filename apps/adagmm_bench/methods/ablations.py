@@ -94,6 +94,10 @@ ABLATIONS = {
         "The default with all points of dense clouds from the first iteration of the refinement on.",
         replacements=(Replacement("condensing", "CONDENSED_FROM", math.inf),),
     ),
+    "adagmm-without-parts": Variant(
+        "The default with all points of dense clouds at once where the condensed ones have come to their end.",
+        replacements=(Replacement("refinement", "SAMPLED_FROM", math.inf),),
+    ),
     "adagmm-without-centroids": Variant("The default, started at the identity only.", {"start": "init"}),
     "adagmm-without-search": Variant(
         "The default without the search that follows a doubtful result.", {"search": False}

@@ -10,11 +10,12 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 sys.path.insert(0, str(Path(__file__).parent))
 
 if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
-    # Two instructions that only the compiler knows.
+    # Instructions that only the compiler knows.
     import numpy as np
 
     from adagmm_o3d.kernels import exp2
 
+    exp2._nearest_whole = np.rint
     exp2._as_int32 = lambda value: np.float32(value).view(np.int32)
     exp2._as_float32 = lambda bits: np.int32(bits).view(np.float32)
 

@@ -58,9 +58,10 @@ CPU = {
         ("g2 - t2", "t2 - g2"),
     ],
     "exp2.py": [
-        ("shifted = x + SHIFT", "shifted = x - SHIFT"),
+        ("rounded + SHIFT", "rounded - SHIFT"),
         ("SHIFT = np.float32(1.5 * 2**23", "SHIFT = np.float32(1.5 * 2**22"),
-        ("r = x - (shifted - SHIFT)", "r = x - shifted"),
+        ("r = x - rounded", "r = x + rounded"),
+        ("llvm.nearbyint", "llvm.floor"),
         ("(C5 * r + C4) * square", "(C5 * r - C4) * square"),
         ("+ (C3 * r + C2)", "+ (C3 * r + C3)"),
         ("square = r * r", "square = r"),

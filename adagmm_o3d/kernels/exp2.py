@@ -30,6 +30,14 @@ def _as_float32(_context, bits):
     return types.float32(types.int32), codegen
 
 
+@intrinsic
+def _nearest_whole(_context, x):
+    def codegen(_, builder, _signature, args):
+        return builder.call(builder.module.declare_intrinsic("llvm.nearbyint", [ir.FloatType()]), args)
+
+    return types.float32(types.float32), codegen
+
+
 # Reassociation would break the rounding of the polynomial, so contraction is the only freedom given.
 @njit(fastmath={"contract"}, error_model="numpy")
 def exp2_float32(x):
@@ -42,10 +50,11 @@ def exp2_float32(x):
 def exp2_parts(x):
     """Two factors of 2**x; the second is known long before the first."""
     x = x if x > LOWEST else LOWEST
-    # The sum rounds, and its last bits are the exponent of the whole number.
-    shifted = x + SHIFT
-    r = x - (shifted - SHIFT)
-    whole = _as_float32(np.int32(_as_int32(shifted) << MANTISSA_BITS))
+    # Adding SHIFT would round as well, but what is left would have to wait for its subtraction too.
+    rounded = _nearest_whole(x)
+    r = x - rounded
+    # The last bits of this sum are the exponent of the whole number.
+    whole = _as_float32(np.int32(_as_int32(rounded + SHIFT) << MANTISSA_BITS))
     # In pairs: a pair of points waits for fewer operations one after the other than with Horner's rule.
     square = r * r
     return ((C5 * r + C4) * square + (C3 * r + C2)) * square + (C1 * r + C0), whole

@@ -15,7 +15,7 @@ GOAL = 2.0  # at least half of the matrix product's rate
 
 # Float operations of a pair of isotropic components, read off the kernels' inner loops. Additions, multiplications,
 # and maxima count one each, integer and bit operations none; what is worked out twice counts once. exp2 is 16 of them:
-# clamp, two additions that round, subtract, square, a polynomial of degree five, scale. An inverse root is 6: an
+# clamp, round, subtract, shift, square, a polynomial of degree five, scale. An inverse root is 6: an
 # estimate and a step of Newton's.
 EXP2, INVERSE_ROOT = 16, 6
 OPERATIONS = {

@@ -330,6 +330,14 @@ CPU = {
         ("min(max(unmatched + taken[UNMATCHED_SHARE], least), greatest)", "unmatched + taken[UNMATCHED_SHARE]"),
         ("likelihood = 2.0 * math.log(unmatched)", "likelihood = math.log(unmatched)"),
     ],
+    "nearest_other.py": [
+        ("own = probes[p]", "own = p"),
+        ("(0, own), (own + 1,", "(0, own + 1), (own + 1,"),
+        ("(own + 1, points.shape[1])", "(own + 2, points.shape[1])"),
+        ("(points[1, i] - y) ** 2", "(points[1, i] - y)"),
+        ("if d < least:", "if d > least:"),
+        ("squares[p] = least", "squares[p] = d"),
+    ],
     "farthest_points.py": [
         ("points[2, i] ** 2\n            if d > farthest", "0.0\n            if d > farthest"),
         ("(points[1, i] - y) ** 2", "(points[1, i] + y) ** 2"),
@@ -391,6 +399,7 @@ TESTS_OF = {
         "score_sums.py": SCORES,
         "search.py": SEARCH,
         "farthest_points.py": SEARCH,
+        "nearest_other.py": [*SEARCH, "-k", "nearest_other"],
         "": SCORES,
     },
     "cuda": dict.fromkeys(CUDA, EVERY_PASS)

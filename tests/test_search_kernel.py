@@ -13,6 +13,7 @@ from adagmm_o3d.expectation import MOST_UNMATCHED
 from adagmm_o3d.kernels.acceleration import LOG_SIGMA, STATE, UNMATCHED_SHARE, accelerate, empty_memory, forget
 from adagmm_o3d.kernels.culling import GROUP, TILE
 from adagmm_o3d.kernels.farthest_points import farthest_points
+from adagmm_o3d.kernels.nearest_other import nearest_other_sq
 from adagmm_o3d.start_search import Limits, Start, run_starts
 
 FREE = {2: [2, 3, 4], 3: [0, 1, 2, 3, 4, 5]}
@@ -320,3 +321,14 @@ def test_representatives_are_each_the_farthest_from_those_before(n, count):
         chosen.append(int(np.argmax(distances)))
     expected = np.linalg.norm(points[:, None] - points[chosen], axis=2).argmin(axis=1)
     np.testing.assert_array_equal(nearest, expected)
+
+
+@pytest.mark.parametrize("n", [2, 3, 40])
+def test_nearest_other_points_are_those_of_all_distances(n):
+    points = np.random.default_rng(n).normal(size=(n, 3))
+    probes = np.unique([0, n // 2, n - 1])
+    squares = np.empty(len(probes))
+    nearest_other_sq(np.ascontiguousarray(points.T), probes, squares)
+    every = ((points[probes, None] - points) ** 2).sum(axis=-1)
+    every[np.arange(len(probes)), probes] = np.inf
+    np.testing.assert_allclose(squares, every.min(axis=1), rtol=1e-12)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -58,9 +57,9 @@ def partners_of(pairs: Pairs, source: Mixture, pose: Array, sigma: float, volume
     # Finer than the floor, a point between the samples of the other cloud would seem to have no partner.
     sigma = max(sigma, SIGMA_FLOOR)
     posterior = pairs.posterior_sums(pose, sigma, uniform_density(JUDGED_UNMATCHED, source.dimension, volume))
-    partners = no_partners(source)
-    partners.row_weights[source.kept] = posterior.row_weights
-    return replace(partners, overlap=float(posterior.overlap))
+    row_weights = np.zeros(len(source.kept))
+    row_weights[source.kept] = posterior.row_weights
+    return Partners(float(posterior.overlap), row_weights)
 
 
 def no_partners(source: Mixture) -> Partners:

@@ -61,7 +61,6 @@ CPU = {
         ("rounded + SHIFT", "rounded - SHIFT"),
         ("SHIFT = np.float32(1.5 * 2**23", "SHIFT = np.float32(1.5 * 2**22"),
         ("r = x - rounded", "r = x + rounded"),
-        ("llvm.nearbyint", "llvm.floor"),
         ("(C5 * r + C4) * square", "(C5 * r - C4) * square"),
         ("+ (C3 * r + C2)", "+ (C3 * r + C3)"),
         ("square = r * r", "square = r"),

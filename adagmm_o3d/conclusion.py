@@ -11,7 +11,7 @@ from .em import Outcome
 from .expectation import SIGMA_FLOOR, uniform_density
 from .mixture import Mixture, Normalisation
 from .pairs import Pairs
-from .result import Partners, PointRegistrationResult, PoseUncertainty, StopReason
+from .result import Later, Partners, PointRegistrationResult, PoseUncertainty, StopReason
 
 # The share of points without a partner that is taken for granted when a point is asked whether it has one.
 JUDGED_UNMATCHED = 0.1
@@ -44,8 +44,8 @@ def conclude(
         dropped_target=target.dropped,
         ambiguous=ambiguous,
         doubts=_doubts(outcome, ambiguous),
-        find_partners=find_partners,
-        assess=assess,
+        find_partners=Later(find_partners),
+        assess=Later(assess),
     )
 
 

@@ -6,8 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
+from typing import Generic, TypeVar
 
 from .arguments import Array
+
+Answer = TypeVar("Answer")
 
 
 class StopReason(StrEnum):
@@ -40,6 +43,20 @@ class PoseUncertainty:
 
     covariance: Array | None
     unobservable: tuple[Array, ...]
+
+
+class Later(Generic[Answer]):
+    """An answer that is worked out when it is first asked for; what it is made from is let go then."""
+
+    def __init__(self, work_out: Callable[[], Answer]) -> None:
+        self._work_out: Callable[[], Answer] | None = work_out
+
+    def __call__(self) -> Answer:
+        work_out = self._work_out
+        if work_out is not None:
+            self._answer = work_out()
+            self._work_out = None
+        return self._answer
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import cached_property
 from typing import Generic, TypeVar
 
 from .arguments import Array
@@ -90,18 +89,18 @@ class PointRegistrationResult:
     dropped_target: int
     ambiguous: bool
     doubts: tuple[str, ...]
-    find_partners: Callable[[], Partners]
-    assess: Callable[[], PoseUncertainty]
+    find_partners: Later[Partners]
+    assess: Later[PoseUncertainty]
 
     @property
     def overlap(self) -> float:
         """Estimated share of the source's points that have a partner in the target, 0 to 1."""
-        return self._partners.overlap
+        return self.find_partners().overlap
 
     @property
     def row_weights(self) -> Array:
         """(M,) probability of each source point to have a partner; 0 where it was dropped."""
-        return self._partners.row_weights
+        return self.find_partners().row_weights
 
     @property
     def pose_covariance(self) -> Array | None:
@@ -110,13 +109,13 @@ class PointRegistrationResult:
         A free direction has a standard deviation of one radius. None for the paper's own rules and where no pair has
         any weight. Its inverse is the information matrix of a pose graph's edge.
         """
-        return self._uncertainty.covariance
+        return self.assess().covariance
 
     @property
     def unobservable(self) -> tuple[Array, ...]:
         """Unit tangent directions (ω, v), in normalised coordinates (about the target's centroid, lengths in radii of
         the clouds), that the points leave free."""
-        return self._uncertainty.unobservable
+        return self.assess().unobservable
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -127,14 +126,6 @@ class PointRegistrationResult:
         if free := len(self.unobservable):
             reasons.append(f"the shape leaves {free} direction{'s' if free > 1 else ''} of the pose free")
         return tuple(reasons)
-
-    @cached_property
-    def _partners(self) -> Partners:
-        return self.find_partners()
-
-    @cached_property
-    def _uncertainty(self) -> PoseUncertainty:
-        return self.assess()
 
     @property
     def converged(self) -> bool:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias
 
 import numpy as np
 import open3d as o3d
@@ -17,13 +16,12 @@ from .kernels.backend import check_device
 from .kernels.cuda.availability import obstacle
 from .options import TransformationEstimationForAdaptiveGMM
 from .points import register_points
-from .result import PointRegistrationResult
+from .result import Answer, Later, PointRegistrationResult
 from .settings import Callback, check_criteria
 from .uncertainty import estimate_surface_covariances
 
 TensorCloud: TypeAlias = o3d.t.geometry.PointCloud
 TensorResult: TypeAlias = o3d.t.pipelines.registration.RegistrationResult
-Answer = TypeVar("Answer")
 
 # Open3D numbers the voxels along an axis in 32 bits.
 MOST_VOXELS = 2.0**31 - 1.0
@@ -124,12 +122,12 @@ def _register_in_place(
             )
         details = register_mixtures(mixtures[0], mixtures[1], init, method, limits, device, callback)
 
-    def answered_here(ask: Callable[[], Answer]) -> Callable[[], Answer]:
+    def answered_here(ask: Later[Answer]) -> Later[Answer]:
         def answer() -> Answer:
             with here:  # by then another device may be the current one
                 return ask()
 
-        return answer
+        return Later(answer)
 
     return replace(details, find_partners=answered_here(details.find_partners), assess=answered_here(details.assess))
 

@@ -10,7 +10,7 @@ from adagmm_fusion.clouds import cloud_from_frame
 from adagmm_fusion.frames import PinholeIntrinsics, RGBDFrame, RGBDPair
 from adagmm_fusion.fusion import fused_mesh
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh
-from adagmm_o3d.result import Partners, PointRegistrationResult, PoseUncertainty, StopReason
+from adagmm_o3d.result import Later, Partners, PointRegistrationResult, PoseUncertainty, StopReason
 
 ITERATIONS = 12
 INTRINSICS = PinholeIntrinsics(160, 120, 140.0, 140.0, 79.5, 59.5)
@@ -59,8 +59,8 @@ def known_estimate(
         dropped_target=0,
         ambiguous=False,
         doubts=(),
-        find_partners=lambda: Partners(0.7, np.linspace(0.0, 1.0, len(source.points))),
-        assess=lambda: PoseUncertainty(None, unobservable),
+        find_partners=Later(lambda: Partners(0.7, np.linspace(0.0, 1.0, len(source.points)))),
+        assess=Later(lambda: PoseUncertainty(None, unobservable)),
     )
 
 

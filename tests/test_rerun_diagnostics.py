@@ -17,7 +17,7 @@ from adagmm_fusion.rerun_log.legends import NO_PARTNER_COLOR, RESIDUAL_RAMP, ram
 from adagmm_fusion.rerun_log.overlay import project_colors
 from adagmm_fusion.rerun_log.when import When
 from adagmm_o3d.errors import InputError
-from adagmm_o3d.result import Partners
+from adagmm_o3d.result import Later, Partners
 
 
 def wall(depth_m: float, *, name="wall", color=(200, 60, 20)) -> RGBDFrame:
@@ -44,7 +44,7 @@ def points_at(depth_m: float, n: int = 400) -> o3d.geometry.PointCloud:
 def still(cloud: o3d.geometry.PointCloud):
     """An estimate that leaves the source where it is."""
     n = len(cloud.points)
-    return replace(known_estimate(), transformation=np.eye(4), find_partners=lambda: Partners(1.0, np.ones(n)))
+    return replace(known_estimate(), transformation=np.eye(4), find_partners=Later(lambda: Partners(1.0, np.ones(n))))
 
 
 def test_residual_is_the_distance_along_the_normal_in_millimetres():

@@ -18,7 +18,7 @@ echo "installing the project and the app into .venv"
 
 recording=recordings/two_kinects
 output=output/two_kinects
-echo "registering $recording (the first run compiles the kernels, about a minute)"
+echo "registering $recording"
 .venv/bin/adagmm-fusion run "$recording" --output "$output" "$@"
 
 cat <<TEXT

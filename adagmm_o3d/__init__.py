@@ -1,12 +1,12 @@
 """Robust rigid registration of point clouds as adaptive Gaussian mixtures, in Open3D's terms."""
 
-from .errors import AdaGMMError, DegenerateError, DeviceError, InputError, InputTypeError
-from .forking import keep_working_after_fork
-from .options import TransformationEstimationForAdaptiveGMM
-from .points import register_points
-from .registration import registration_adaptive_gmm
-from .result import PointRegistrationResult, StopReason
-from .uncertainty import (
+from adagmm_o3d.array_registration import register_points
+from adagmm_o3d.errors import AdaGMMError, DegenerateError, DeviceError, InputError, InputTypeError
+from adagmm_o3d.kernels.forking import keep_working_after_fork
+from adagmm_o3d.options import TransformationEstimationForAdaptiveGMM
+from adagmm_o3d.registration import registration_adaptive_gmm
+from adagmm_o3d.result import PointRegistrationResult, StopReason
+from adagmm_o3d.uncertainty import (
     KinectUncertainty,
     estimate_kinect_covariances,
     estimate_nguyen_covariances,

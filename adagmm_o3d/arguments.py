@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import InputError, InputTypeError
+from adagmm_o3d.errors import InputError, InputTypeError
 
 Array = NDArray[np.float64]
 Extent = int | str | tuple[int, ...]

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import lie
-from .arguments import Array, float_array, real_number
-from .errors import InputError
-from .neighbors import NeighborIndex
+from adagmm_o3d import lie
+from adagmm_o3d.arguments import Array, float_array, real_number
+from adagmm_o3d.errors import InputError
+from adagmm_o3d.neighbors import NeighborIndex
 
 POSE_TOLERANCE = 1e-3
 """Largest entry of RᵀR − I that is put down to rounding."""

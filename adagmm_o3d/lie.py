@@ -17,8 +17,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .arguments import Array, float_array, real_number
-from .errors import InputError
+from adagmm_o3d.arguments import Array, float_array, real_number
+from adagmm_o3d.errors import InputError
 
 ROTATION_TOLERANCE = 1e-6
 """Largest entry of RᵀR − I that still counts as a rotation; float32 matrices pass."""

@@ -4,8 +4,8 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
-from .arguments import Array
-from .errors import InputError
+from adagmm_o3d.arguments import Array
+from adagmm_o3d.errors import InputError
 
 
 class NeighborIndex:

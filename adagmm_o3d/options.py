@@ -1,18 +1,39 @@
-"""Every tunable of the method, with its unit, default and range."""
+"""How to register, as callers say it: every tunable with its unit, default and range, and Open3D's criteria and
+estimation methods, checked at the door."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
-from .arguments import real_number
-from .errors import InputError, InputTypeError
+import open3d as o3d
+
+from adagmm_o3d.arguments import real_number
+from adagmm_o3d.errors import InputError, InputTypeError
 
 DEFAULT_MAX_ITERATION = 200
 DEFAULT_RELATIVE_RMSE = 1e-3
 
 SigmaRuleName = Literal["posterior", "annealed", "nearest", "figure2"]
 StartName = Literal["auto", "init", "centroids"]
+# What is called after each EM iteration, with what `registration_adaptive_gmm` says of it.
+Callback = Callable[[dict[str, Any]], None]
+
+LEGACY, TENSOR = o3d.pipelines.registration, o3d.t.pipelines.registration
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """When an EM iteration has changed nothing worth another one; the words and numbers are Open3D's.
+
+    The residual is flat at its minimum: a step of ε standard deviations changes it by about ε². So a pose has settled
+    when a step is below √relative_rmse standard deviations of the mixtures. max_iteration bounds the EM iterations.
+    """
+
+    relative_rmse: float
+    max_iteration: int
 
 
 @dataclass(frozen=True)
@@ -57,3 +78,59 @@ class TransformationEstimationForAdaptiveGMM:
             raise InputError(f"mutuality: expected 0 <= mutuality <= 0.5 or None, got {self.mutuality:g}")
         if not 1.0 <= real_number("relaxation", self.relaxation) < 2.0:
             raise InputError(f"relaxation: expected 1 <= relaxation < 2, got {self.relaxation:g}")
+
+
+def check_estimation_method(value: Any) -> TransformationEstimationForAdaptiveGMM:
+    """The options of `estimation_method`; None and Open3D's own methods stand for the defaults.
+
+    Raises
+    ------
+    InputTypeError : neither ours nor Open3D's, or a class in place of an instance.
+    InputError : one of Open3D's that estimates a scale.
+    """
+    if value is None:
+        return TransformationEstimationForAdaptiveGMM()
+    if isinstance(value, TransformationEstimationForAdaptiveGMM):
+        return value
+    if not isinstance(value, (LEGACY.TransformationEstimation, TENSOR.TransformationEstimation)):
+        got = f"the class {value.__name__}; add ()" if isinstance(value, type) else type(value).__name__
+        raise InputTypeError(
+            f"estimation_method: expected TransformationEstimationForAdaptiveGMM() or one of Open3D's, got {got}"
+        )
+    if getattr(value, "with_scaling", False):
+        raise InputError(
+            "estimation_method: with_scaling is on, but a rigid registration estimates no scale; turn it off"
+        )
+    return TransformationEstimationForAdaptiveGMM()
+
+
+def check_criteria(value: Any) -> Criteria:
+    """When to stop, from Open3D's ICPConvergenceCriteria, legacy or tensor; None for the defaults.
+
+    Raises
+    ------
+    InputTypeError : something else.   InputError : a number of it out of range.
+    """
+    if value is None:
+        return Criteria(DEFAULT_RELATIVE_RMSE, DEFAULT_MAX_ITERATION)
+    if not isinstance(value, (LEGACY.ICPConvergenceCriteria, TENSOR.ICPConvergenceCriteria)):
+        raise InputTypeError(f"criteria: expected Open3D's ICPConvergenceCriteria, got {type(value).__name__}")
+    if value.max_iteration < 1:
+        raise InputError(f"criteria.max_iteration: expected at least 1, got {value.max_iteration}")
+    if not 0.0 <= value.relative_rmse < math.inf:
+        raise InputError(f"criteria.relative_rmse: expected a finite number >= 0, got {value.relative_rmse:g}")
+    return Criteria(float(value.relative_rmse), int(value.max_iteration))
+
+
+def check_callback(value: Any) -> Callback | None:
+    """The function to call after each iteration, or None.
+
+    Raises
+    ------
+    InputTypeError : not callable.
+    """
+    if value is not None and not callable(value):
+        raise InputTypeError(
+            f"callback_after_iteration: expected a function of one dictionary, got {type(value).__name__}"
+        )
+    return value

@@ -8,13 +8,13 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import ArrayLike
 
-from .arguments import Array, real_number
-from .errors import InputError, InputTypeError
-from .points import register_points
-from .result import PointRegistrationResult
-from .settings import Callback, check_callback, check_criteria, check_estimation_method
-from .tensor_registration import check_voxel_size, register_tensor_clouds
-from .uncertainty import estimate_surface_covariances
+from adagmm_o3d.arguments import Array, real_number
+from adagmm_o3d.array_registration import register_points
+from adagmm_o3d.errors import InputError, InputTypeError
+from adagmm_o3d.options import Callback, check_callback, check_criteria, check_estimation_method
+from adagmm_o3d.result import PointRegistrationResult
+from adagmm_o3d.tensor_registration import check_voxel_size, register_tensor_clouds
+from adagmm_o3d.uncertainty import estimate_surface_covariances
 
 LegacyResult: TypeAlias = o3d.pipelines.registration.RegistrationResult
 

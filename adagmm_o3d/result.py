@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
-from .arguments import Array
+from adagmm_o3d.arguments import Array
 
 Answer = TypeVar("Answer")
 
@@ -19,6 +19,19 @@ class StopReason(StrEnum):
     MAX_ITERATION = "max_iteration reached"
     NO_OVERLAP = "no pair of points carries weight"
     DEGENERATE = "the pairs leave the pose undetermined"
+
+
+class Iteration(NamedTuple):
+    """One EM iteration, in normalised coordinates.
+
+    pose (4, 4) after it, σ during it, energy per unit of pair weight, share of the source matched, level (0 coarsest).
+    """
+
+    pose: Array
+    sigma: float
+    energy: float
+    matched: float
+    level: int = 0
 
 
 # With a smaller share of partners than this, anything might fit.
@@ -44,7 +57,7 @@ class PoseUncertainty:
     unobservable: tuple[Array, ...]
 
 
-class Later(Generic[Answer]):
+class Deferred(Generic[Answer]):
     """An answer that is worked out when it is first asked for; what it is made from is let go then."""
 
     def __init__(self, work_out: Callable[[], Answer]) -> None:
@@ -89,8 +102,8 @@ class PointRegistrationResult:
     dropped_target: int
     ambiguous: bool
     doubts: tuple[str, ...]
-    find_partners: Later[Partners]
-    assess: Later[PoseUncertainty]
+    find_partners: Deferred[Partners]
+    assess: Deferred[PoseUncertainty]
 
     @property
     def overlap(self) -> float:

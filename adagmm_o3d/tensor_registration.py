@@ -10,15 +10,14 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import ArrayLike
 
-from .arguments import Array
-from .errors import InputError, InputTypeError
-from .kernels.backend import check_device
-from .kernels.cuda.availability import obstacle
-from .options import TransformationEstimationForAdaptiveGMM
-from .points import register_points
-from .result import Answer, Later, PointRegistrationResult
-from .settings import Callback, check_criteria
-from .uncertainty import estimate_surface_covariances
+from adagmm_o3d.arguments import Array
+from adagmm_o3d.array_registration import register_points
+from adagmm_o3d.errors import InputError, InputTypeError
+from adagmm_o3d.kernels.cuda.availability import obstacle
+from adagmm_o3d.options import Callback, TransformationEstimationForAdaptiveGMM, check_criteria
+from adagmm_o3d.pairs.device import check_device
+from adagmm_o3d.result import Answer, Deferred, PointRegistrationResult
+from adagmm_o3d.uncertainty import estimate_surface_covariances
 
 TensorCloud: TypeAlias = o3d.t.geometry.PointCloud
 TensorResult: TypeAlias = o3d.t.pipelines.registration.RegistrationResult
@@ -103,9 +102,9 @@ def _register_in_place(
     callback: Callback | None,
 ) -> PointRegistrationResult:
     """On the device that the clouds are on, without their points leaving it."""
-    from .kernels.cuda.cloud import device_mixture
-    from .kernels.cuda.tensors import current_device, on_the_device
-    from .mixture_registration import register_mixtures
+    from adagmm_o3d.kernels.cuda.clouds.tensors import current_device, on_the_device
+    from adagmm_o3d.mixtures.device_mixture import device_mixture
+    from adagmm_o3d.search.register import register_mixtures
 
     limits = check_criteria(criteria)
     here = current_device(source.point.positions)
@@ -122,12 +121,12 @@ def _register_in_place(
             )
         details = register_mixtures(mixtures[0], mixtures[1], init, method, limits, device, callback)
 
-    def answered_here(ask: Later[Answer]) -> Later[Answer]:
+    def answered_here(ask: Deferred[Answer]) -> Deferred[Answer]:
         def answer() -> Answer:
             with here:  # by then another device may be the current one
                 return ask()
 
-        return Later(answer)
+        return Deferred(answer)
 
     return replace(details, find_partners=answered_here(details.find_partners), assess=answered_here(details.assess))
 

@@ -7,13 +7,13 @@ from pathlib import Path
 from hypothesis import settings
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parent / "support"))
 
 if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
     # Instructions that only the compiler knows.
     import numpy as np
 
-    from adagmm_o3d.kernels import exp2
+    from adagmm_o3d.kernels.cpu import exp2
 
     exp2._nearest_whole = np.rint
     exp2._as_int32 = lambda value: np.float32(value).view(np.int32)

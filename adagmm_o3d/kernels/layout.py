@@ -20,3 +20,10 @@ TOTAL_WEIGHT = 27
 TOTAL_ENERGY = 28
 TOTAL_MATCHED = 29  # Σ weight · the probability to have a partner (convolved weights only)
 TOTAL_SUMS = 30
+
+# What is summed over the pairs of a point, for a left perturbation δ = (ω, v) of the pose.
+SCORE = 0  # 0..5: Σ w j, w the weight of a pair, j = Jᵀ S⁻¹ d the gradient of half its squared Mahalanobis distance
+SENSITIVITY = 6  # 6..11: -Σ share ∂c/∂δ, the change of the density at the point
+CURVATURE = 12  # 12..47: Σ w ∂j/∂δ + Σ j ∂c/∂δ w/c, row by row: the change of the score but for that of the densities
+# ... and but for the Σ w e x v by which a shift along e moves the lever arms: at an optimum the pulls v sum to nothing.
+POINT_SUMS = 48

@@ -7,9 +7,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arguments import Array, real_number
-from ..errors import InputError, InputTypeError
-from .viewing import depth_and_incidence
+from adagmm_o3d.arguments import Array, real_number
+from adagmm_o3d.errors import InputError, InputTypeError
+from adagmm_o3d.uncertainty.viewing import depth_and_incidence
 
 
 @dataclass(frozen=True)

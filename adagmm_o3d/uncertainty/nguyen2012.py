@@ -5,9 +5,9 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arguments import Array, float_array, real_number
-from ..errors import InputError
-from .viewing import depth_and_incidence
+from adagmm_o3d.arguments import Array, float_array, real_number
+from adagmm_o3d.errors import InputError
+from adagmm_o3d.uncertainty.viewing import depth_and_incidence
 
 GRAZING_ANGLE = math.pi / 3.0
 """Beyond this angle of incidence [rad] the axial noise has its grazing term."""

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arguments import Array, bool_array, float_array, real_number
-from ..errors import InputError
+from adagmm_o3d.arguments import Array, bool_array, float_array, real_number
+from adagmm_o3d.errors import InputError
 
 
 def mark_outliers(covariances: ArrayLike, mask: ArrayLike, *, scale: float = 1e6) -> Array:

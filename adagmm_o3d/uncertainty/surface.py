@@ -3,18 +3,13 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arguments import Array, float_array, real_number, unit_vectors, whole_number
-from ..errors import DegenerateError, InputError
-from ..neighbors import NeighborIndex
+from adagmm_o3d.arguments import Array, float_array, real_number, unit_vectors, whole_number
+from adagmm_o3d.errors import DegenerateError, InputError
+from adagmm_o3d.kernels.limits import EPSILON, KNN, LINE_RATIO
+from adagmm_o3d.neighbors import NeighborIndex
 
 CHUNK = 65536
 """Points whose neighbourhoods are gathered at a time; bounds the memory."""
-
-KNN, EPSILON = 20, 1e-3
-"""Open3D's neighbours per point, and its variance across the surface."""
-
-LINE_RATIO = 1e-10
-"""A neighbourhood whose second smallest variance is below this share of the whole has no normal."""
 
 
 def estimate_surface_covariances(

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arguments import Array, float_array, unit_vectors
-from ..errors import InputError
+from adagmm_o3d.arguments import Array, float_array, unit_vectors
+from adagmm_o3d.errors import InputError
 
 MAX_DEPTH = 100.0
 """No depth camera of this kind sees farther [m]; beyond it the numbers are millimetres."""

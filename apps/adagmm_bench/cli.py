@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from adagmm_fusion.interruption import exit_code, heard_afterwards, signals_as_interrupts
+from adagmm_fusion.processes.interruption import exit_code, heard_afterwards, signals_as_interrupts
 
 
 def build_parser() -> argparse.ArgumentParser:

@@ -10,7 +10,7 @@ import numpy as np
 from adagmm_bench.methods import METHODS
 from adagmm_bench.report import command_line, machine_note, settings_section, summaries_as_json, write_json
 from adagmm_bench.summary import Summary
-from adagmm_fusion.atomic_file import write_text
+from adagmm_fusion.files.atomic_file import write_text
 
 
 def pair_table(summaries: Iterable[Summary], records: Sequence[dict]) -> tuple[list[str], list[list]]:

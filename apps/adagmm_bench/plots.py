@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from adagmm_fusion.atomic_file import replacing
+from adagmm_fusion.files.atomic_file import replacing
 
 # Okabe and Ito's colours, told apart by colour-blind readers too; ours is always the first, thick and black.
 COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#0072B2", "#CC79A7", "#8C8C8C")

@@ -16,7 +16,7 @@ from rich.table import Table
 from adagmm_bench.methods import METHODS
 from adagmm_bench.problem import PREPARATIONS
 from adagmm_bench.summary import Summary
-from adagmm_fusion.atomic_file import write_text
+from adagmm_fusion.files.atomic_file import write_text
 
 
 def machine_note() -> str:

@@ -12,7 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from adagmm_bench.journal import Journal
 from adagmm_bench.methods import METHODS
 from adagmm_bench.trial import TrialJob, run_trial
-from adagmm_fusion.task_pool import TaskFailure, run_tasks
+from adagmm_fusion.processes.task_pool import TaskFailure, run_tasks
 from adagmm_o3d.errors import AdaGMMError
 
 

@@ -10,10 +10,10 @@ import numpy as np
 import open3d as o3d
 
 from adagmm_bench.problem import Cloud, Problem
-from adagmm_fusion.clouds import clouds_from_pair
-from adagmm_fusion.frames import RGBDPair
-from adagmm_fusion.recording import open_recording
-from adagmm_fusion.settings import Settings
+from adagmm_fusion.clouds.building import clouds_from_pair
+from adagmm_fusion.frames.rgbd import RGBDPair
+from adagmm_fusion.pairs.settings import Settings
+from adagmm_fusion.recordings.opening import open_recording
 from adagmm_o3d.errors import AdaGMMError, InputError
 
 KINECT_PARTNER_DISTANCE = RECORDING_PARTNER_DISTANCE = 0.05  # m, a little over the grid of the clouds

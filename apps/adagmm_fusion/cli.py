@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import fields
 from importlib import metadata
 
-from adagmm_fusion.interruption import Terminated, exit_code, heard_afterwards, signals_as_interrupts
+from adagmm_fusion.processes.interruption import Terminated, exit_code, heard_afterwards, signals_as_interrupts
 
 SETTINGS_OPTIONS = {
     "sensor_model": "--sensor-model",
@@ -68,10 +68,10 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _add_run(commands) -> None:
-    from adagmm_fusion.clouds import SENSOR_MODELS
+    from adagmm_fusion.clouds.building import SENSOR_MODELS
     from adagmm_fusion.formats import FORMATS
+    from adagmm_fusion.pairs.settings import STARTS, Settings
     from adagmm_fusion.rerun_log import add_rerun_arguments
-    from adagmm_fusion.settings import STARTS, Settings
 
     default = {field.name: field.default for field in fields(Settings)}
     text = "Register the pairs of a recording; write a report, fused clouds, the estimated rig and a Rerun recording."
@@ -141,9 +141,9 @@ def _add_simulate(commands) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    from adagmm_fusion.run import run
-    from adagmm_fusion.run_many import recordings_in, run_many
-    from adagmm_fusion.settings import Settings
+    from adagmm_fusion.commands.run import run
+    from adagmm_fusion.commands.run_many import recordings_in, run_many
+    from adagmm_fusion.pairs.settings import Settings
 
     settings = Settings(**{name: getattr(args, name) for name in SETTINGS_OPTIONS})
     recordings = recordings_in(args.recording)

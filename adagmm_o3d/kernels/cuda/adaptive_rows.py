@@ -4,8 +4,8 @@ import math
 
 from numba import float32, int32
 
-from .front_end import F0, F1, TILE, cuda, fast, fast_kernel, formulas, source_stamp
-from .tiles import MATRIX, is_near
+from adagmm_o3d.kernels.cuda.front_end import F0, F1, TILE, cuda, fast, fast_kernel, formulas, source_stamp
+from adagmm_o3d.kernels.cuda.tiles import MATRIX, is_near
 
 symmetric_product, dot, cross = formulas.symmetric_product, formulas.dot, formulas.cross
 

@@ -8,8 +8,18 @@ import math
 
 from numba import float32, int32
 
-from .front_end import F0, F1, TILE, cuda, fast, fast_kernel, formulas, inverse_root, source_stamp
-from .tiles import MATRIX, is_near
+from adagmm_o3d.kernels.cuda.front_end import (
+    F0,
+    F1,
+    TILE,
+    cuda,
+    fast,
+    fast_kernel,
+    formulas,
+    inverse_root,
+    source_stamp,
+)
+from adagmm_o3d.kernels.cuda.tiles import MATRIX, is_near
 
 symmetric_product, dot, adjugate = formulas.symmetric_product, formulas.dot, formulas.adjugate
 

@@ -11,9 +11,10 @@ import numpy as np
 from numba import cuda
 from numba.core.errors import NumbaPerformanceWarning
 
-from ...errors import DeviceError
-from .. import culling, gaussian
-from .availability import missing_front_end, simulated
+from adagmm_o3d.errors import DeviceError
+from adagmm_o3d.kernels.cpu import culling
+from adagmm_o3d.kernels.cuda.availability import missing_front_end, simulated
+from adagmm_o3d.kernels.formulas import build
 
 if (_missing := missing_front_end()) is not None:
     raise DeviceError(f"device: 'cuda' cannot be used here: {_missing}")
@@ -62,5 +63,5 @@ def inverse_root(x):
 
 
 # The formulas for the GPU.
-formulas = gaussian.build(fast)
-exact_formulas = gaussian.build(exact)
+formulas = build(fast)
+exact_formulas = build(exact)

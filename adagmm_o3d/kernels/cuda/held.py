@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ...arguments import Array
-from .front_end import cuda
+from adagmm_o3d.arguments import Array
+from adagmm_o3d.kernels.cuda.front_end import cuda
 
 
 class Held:

@@ -2,8 +2,8 @@
 
 from numba import float32
 
-from .front_end import F0, F1, TILE, cuda, exact_formulas, kernel, source_stamp
-from .tiles import BOX_VARIANCE, MATRIX, SHARE, extreme
+from adagmm_o3d.kernels.cuda.front_end import F0, F1, TILE, cuda, exact_formulas, kernel, source_stamp
+from adagmm_o3d.kernels.cuda.tiles import BOX_VARIANCE, MATRIX, SHARE, extreme
 
 rotate_point, rotate_symmetric = exact_formulas.rotate_point, exact_formulas.rotate_symmetric
 

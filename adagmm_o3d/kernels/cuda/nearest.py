@@ -3,8 +3,8 @@
 import numpy as np
 from numba import float32, int32
 
-from .front_end import F0, TILE, cuda, exact, exact_formulas, kernel, source_stamp
-from .tiles import gap_sq
+from adagmm_o3d.kernels.cuda.front_end import F0, TILE, cuda, exact, exact_formulas, kernel, source_stamp
+from adagmm_o3d.kernels.cuda.tiles import gap_sq
 
 dot = exact_formulas.dot
 

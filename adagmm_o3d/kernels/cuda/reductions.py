@@ -5,7 +5,12 @@ The shares of the other cloud are added up for each point, the points of a tile 
 
 from numba import float64
 
-from ..layout import (
+from adagmm_o3d.kernels.cuda.adaptive_rows import NOTHING as NO_ADAPTIVE
+from adagmm_o3d.kernels.cuda.convolved_rows import NOTHING as NO_CONVOLVED
+from adagmm_o3d.kernels.cuda.convolved_rows import ROW_DENSITY
+from adagmm_o3d.kernels.cuda.front_end import F0, TILE, cuda, exact, exact_formulas, kernel, source_stamp
+from adagmm_o3d.kernels.cuda.tiles import MATRIX
+from adagmm_o3d.kernels.layout import (
     ENERGY,
     HESSIAN,
     PRECISION,
@@ -17,11 +22,6 @@ from ..layout import (
     TURN,
     WEIGHT,
 )
-from .adaptive_rows import NOTHING as NO_ADAPTIVE
-from .convolved_rows import NOTHING as NO_CONVOLVED
-from .convolved_rows import ROW_DENSITY
-from .front_end import F0, TILE, cuda, exact, exact_formulas, kernel, source_stamp
-from .tiles import MATRIX
 
 normal_equations = exact_formulas.normal_equations
 

@@ -1,4 +1,4 @@
-"""The scores of points on the GPU, as `kernels.score_sums` adds them up: what the pose covariance is made of.
+"""The scores of points on the GPU, as `kernels.cpu.scores` adds them up: what the pose covariance is made of.
 
 Pairs are evaluated and summed up in float32, a point's threads are put together in float64. Of the symmetric sums only
 the upper triangle is kept.
@@ -9,10 +9,10 @@ import math
 import numpy as np
 from numba import float64, int32
 
-from .. import score_sums as layout
-from .front_end import F0, TILE, cuda, fast, fast_kernel, formulas, inverse_root, source_stamp
-from .reductions import PADDED, reduce_tile
-from .tiles import BOX_VARIANCE, MATRIX
+from adagmm_o3d.kernels import layout
+from adagmm_o3d.kernels.cuda.front_end import F0, TILE, cuda, fast, fast_kernel, formulas, inverse_root, source_stamp
+from adagmm_o3d.kernels.cuda.reductions import PADDED, reduce_tile
+from adagmm_o3d.kernels.cuda.tiles import BOX_VARIANCE, MATRIX
 
 symmetric_product, dot, cross, adjugate = (
     formulas.symmetric_product,
@@ -34,7 +34,7 @@ NONE, NOTHING = (F0,) * CURVATURE, (F0,) * SUMS
 
 
 def unfolded(sums):
-    """(SUMS or CURVATURE, K) sums → (K, POINT_SUMS) as `kernels.score_sums` lays them out, 0 where there are none."""
+    """(SUMS or CURVATURE, K) sums → (K, POINT_SUMS) as `kernels.cpu.scores` lays them out, 0 where there are none."""
     rows = np.zeros((sums.shape[1], layout.POINT_SUMS))
     rows[:, : layout.CURVATURE] = sums[:CURVATURE].T
     if len(sums) == SUMS:

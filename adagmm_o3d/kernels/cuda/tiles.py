@@ -1,4 +1,4 @@
-"""Points and boxes as the device keeps them, and which tile a block has to look at; see `kernels.culling`.
+"""Points and boxes as the device keeps them, and which tile a block has to look at; see `kernels.cpu.culling`.
 
 A tile is TILE points, component by component: (components, TILE) float32. Components are x, y, z, the share that a
 pair's weight is multiplied with, and the matrix, packed (6) or its one diagonal entry (1). The last tile is filled up
@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import culling
-from .front_end import F0, TILE, exact
+from adagmm_o3d.kernels.cpu import culling
+from adagmm_o3d.kernels.cuda.front_end import F0, TILE, exact
 
 SHARE, MATRIX = 3, 4
 BOX_VARIANCE, BOX_BITS = 6, 7

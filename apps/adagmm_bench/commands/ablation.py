@@ -25,7 +25,7 @@ from adagmm_bench.scenes import find_scenes
 from adagmm_bench.simulation import REPETITIONS, trial_ids
 from adagmm_bench.summary import Summary, found_in_simulation, summarise
 from adagmm_bench.trial import SimulatedProblem, TrialJob
-from adagmm_fusion.atomic_file import write_text
+from adagmm_fusion.files.atomic_file import write_text
 from adagmm_o3d.errors import InputError
 
 START = "as-given"  # so that what the default does about translation counts too

@@ -18,7 +18,7 @@ from adagmm_bench.scenes import find_scenes
 from adagmm_bench.simulation import REPETITIONS, SWEEPS, trial_ids
 from adagmm_bench.summary import found_in_simulation
 from adagmm_bench.trial import SimulatedProblem, TrialJob
-from adagmm_fusion.atomic_file import write_text
+from adagmm_fusion.files.atomic_file import write_text
 from adagmm_o3d.errors import InputError
 
 METHOD, START = "adagmm", "centroids"

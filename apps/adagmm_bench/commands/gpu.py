@@ -16,10 +16,10 @@ from adagmm_bench.gpu.operations import PAIR_OPERATIONS
 from adagmm_bench.gpu.rates import POINTS, Rate, pair_rates
 from adagmm_bench.gpu.registrations import SIZES, Timing, crossing_point, registration_timings
 from adagmm_bench.report import command_line, machine_note, markdown_table, print_table
-from adagmm_fusion.atomic_file import write_text
+from adagmm_fusion.files.atomic_file import write_text
 from adagmm_o3d.errors import DeviceError, InputError
-from adagmm_o3d.kernels.backend import CROSSING_PAIRS
 from adagmm_o3d.kernels.cuda.availability import obstacle, simulated
+from adagmm_o3d.pairs.device import CROSSING_PAIRS
 
 PAPER_SECONDS = 10.0  # a 3D trial of the paper, on its GTX 1080
 SANITIZER_TOOLS = ("memcheck", "racecheck", "synccheck", "initcheck")

@@ -29,8 +29,8 @@ from adagmm_bench.runner import run_jobs
 from adagmm_bench.scenes import RECORDING_PARTNER_DISTANCE, find_frame_pairs
 from adagmm_bench.summary import summarise
 from adagmm_bench.trial import TrialJob, judge, run_trial
-from adagmm_fusion.pipeline import register_pair
-from adagmm_fusion.settings import Settings
+from adagmm_fusion.pairs.pipeline import register_pair
+from adagmm_fusion.pairs.settings import Settings
 
 END_TO_END = "adagmm-fusion"
 METHODS_BESIDE = ("adagmm", "open3d-point-to-plane", "open3d-gicp", "open3d-gicp-covariances", "small-gicp")

@@ -33,7 +33,7 @@ from adagmm_bench.runner import run_jobs
 from adagmm_bench.simulation import REPETITIONS, SWEEPS, trial_ids
 from adagmm_bench.summary import FOUND_ROTATION_ERROR, Summary, best_start, by_setting, summarise
 from adagmm_bench.trial import SimulatedProblem, TrialJob
-from adagmm_fusion.atomic_file import write_text
+from adagmm_fusion.files.atomic_file import write_text
 from adagmm_o3d.errors import InputError
 
 FIGURES = {

@@ -16,8 +16,8 @@ from adagmm_bench.speed.large import frames, scaling
 from adagmm_bench.speed.measurement import Measurement
 from adagmm_bench.speed.registrations import kinect, simulations
 from adagmm_bench.speed.startup import startup
-from adagmm_fusion.atomic_file import write_text
-from adagmm_fusion.task_pool import TaskFailure, run_tasks
+from adagmm_fusion.files.atomic_file import write_text
+from adagmm_fusion.processes.task_pool import TaskFailure, run_tasks
 from adagmm_o3d.errors import AdaGMMError, InputError
 
 RECORDED = Path(__file__).resolve().parents[1] / "recorded_ratios.json"

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from adagmm_o3d.em.m_step import FREE
 from adagmm_o3d.errors import AdaGMMError
 from adagmm_o3d.lie import se_exp
-from adagmm_o3d.m_step import FREE
-from adagmm_o3d.mixture import Mixture, make_mixture
+from adagmm_o3d.mixtures.mixture import Mixture, make_mixture
 
 # Relative to the largest entry: float32 pairs, summed in float64.
 TOLERANCE = 1e-5
@@ -56,7 +56,7 @@ def run_checks(seed: int) -> Iterator[Check]:
 
 
 def _errors(source: Mixture, target: Mixture, pose: np.ndarray) -> Iterator[tuple[str, float]]:
-    from adagmm_o3d.kernels.cuda.pair_loop import CudaPairLoop
+    from adagmm_o3d.pairs.cuda_pairs import CudaPairLoop
 
     loop = CudaPairLoop(source, target)
     for array in loop.work_arrays():

@@ -9,9 +9,10 @@ import numpy as np
 import open3d as o3d
 
 from adagmm_o3d import estimate_surface_covariances
-from adagmm_o3d.kernels.pair_loop import PairLoop
-from adagmm_o3d.mixture import Mixture, make_mixture, normalise
-from adagmm_o3d.pose_covariance import SCORED, Fit, score_moments
+from adagmm_o3d.mixtures.mixture import Mixture, make_mixture
+from adagmm_o3d.mixtures.normalisation import normalise
+from adagmm_o3d.pairs.cpu_pairs import PairLoop
+from adagmm_o3d.trust.pose_covariance import SCORED, Fit, score_moments
 
 # The mixtures are float64, but for the digits that thin covariances lose. Neighbours at nearly the same distance may
 # change places. The scores are sums of float32.
@@ -21,9 +22,9 @@ SIGMA, UNMATCHED, VOLUME, MUTUALITY = 0.02, 0.2, 30.0, 0.5
 
 def cloud_errors(source: Mixture, target: Mixture, pose: np.ndarray) -> Iterator[tuple[str, float, float]]:
     """What, its error relative to the largest entry, and the tolerance."""
-    from adagmm_o3d.kernels.cuda.cloud import device_mixture
     from adagmm_o3d.kernels.cuda.front_end import cuda
-    from adagmm_o3d.kernels.cuda.pair_loop import CudaPairLoop
+    from adagmm_o3d.mixtures.device_mixture import device_mixture
+    from adagmm_o3d.pairs.cuda_pairs import CudaPairLoop
 
     host, device = (source, target), []
     for mixture in host:
@@ -54,7 +55,7 @@ def check_tensors(rng: np.random.Generator) -> Iterator[tuple[str, float]]:
     """Whether Open3D's tensors are read where they lie; nothing where this Open3D knows no CUDA."""
     if not o3d.core.cuda.is_available():
         return
-    from adagmm_o3d.kernels.cuda.tensors import on_the_device
+    from adagmm_o3d.kernels.cuda.clouds.tensors import on_the_device
 
     for dtype in (np.float32, np.float64):
         values = rng.normal(size=(1000, 3)).astype(dtype)

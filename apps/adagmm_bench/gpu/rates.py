@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adagmm_bench.gpu.operations import PAIR_OPERATIONS
-from adagmm_o3d.mixture import Mixture, make_mixture
+from adagmm_o3d.mixtures.mixture import Mixture, make_mixture
 
 POINTS = 32_768
 SIGMA, UNIFORM, MUTUALITY = 100.0, 0.05, 0.5  # so wide that no tile may be left out
@@ -30,7 +30,7 @@ class Rate:
 
 def pair_rates() -> list[Rate]:
     """Every pair kernel on POINTS x POINTS points in space; only where there is a GPU."""
-    from adagmm_o3d.kernels.cuda.pair_loop import CudaPairLoop
+    from adagmm_o3d.pairs.cuda_pairs import CudaPairLoop
 
     rates, pose = [], np.eye(4)
     for suffix, isotropic in (("", False), (" isotropic", True)):

@@ -12,10 +12,11 @@ import numpy as np
 from adagmm_bench.speed.large import surface_pair
 from adagmm_o3d import PointRegistrationResult, TransformationEstimationForAdaptiveGMM, register_points
 from adagmm_o3d.evaluation import rotation_error_deg
-from adagmm_o3d.kernels.pair_loop import PairLoop
-from adagmm_o3d.mixture import make_mixture, normalise
-from adagmm_o3d.mixture_registration import register_mixtures
-from adagmm_o3d.settings import check_criteria
+from adagmm_o3d.mixtures.mixture import make_mixture
+from adagmm_o3d.mixtures.normalisation import normalise
+from adagmm_o3d.options import check_criteria
+from adagmm_o3d.pairs.cpu_pairs import PairLoop
+from adagmm_o3d.search.register import register_mixtures
 
 SIZES = (1_000, 4_000, 30_000, 300_000)
 CROSSING_SIZES = (250, 500, 1_000, 2_000, 4_000, 8_000)
@@ -60,7 +61,7 @@ def cuda_arrays(*arrays: np.ndarray) -> list[Any]:
 
 def register_resident(source: Any, target: Any) -> PointRegistrationResult:
     """`register_points` with default options for arrays on the card."""
-    from adagmm_o3d.kernels.cuda.cloud import device_mixture
+    from adagmm_o3d.mixtures.device_mixture import device_mixture
 
     clouds = [device_mixture(name, p, None, surface=False) for name, p in (("source", source), ("target", target))]
     options = TransformationEstimationForAdaptiveGMM()
@@ -69,7 +70,7 @@ def register_resident(source: Any, target: Any) -> PointRegistrationResult:
 
 def crossing_point(repeats: int) -> int | None:
     """The least number of pairs among CROSSING_SIZES, squared, from which on the GPU's pass is the faster one."""
-    from adagmm_o3d.kernels.cuda.pair_loop import CudaPairLoop
+    from adagmm_o3d.pairs.cuda_pairs import CudaPairLoop
 
     crossing = None
     for points in CROSSING_SIZES:

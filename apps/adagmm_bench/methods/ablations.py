@@ -9,11 +9,11 @@ import math
 from dataclasses import replace
 
 from adagmm_bench.methods.variant import Replacement, Variant
-from adagmm_o3d.cascade import APART_MERGED, KEPT_RANKING, MERGED, SMALL, Cascade
-from adagmm_o3d.coarse import MergedMixture
-from adagmm_o3d.expectation import CLOSE_VOLUME, FINEST_SIGMA, SIGMA_FLOOR
-from adagmm_o3d.start_search import End, Limits, Start, pose_distance, run_starts
-from adagmm_o3d.starts import around
+from adagmm_o3d.em.expectation import CLOSE_VOLUME, FINEST_SIGMA, SIGMA_FLOOR
+from adagmm_o3d.mixtures.merging import MergedMixture
+from adagmm_o3d.search.levels import APART_MERGED, KEPT_RANKING, MERGED, SMALL, Cascade
+from adagmm_o3d.search.runs import End, Limits, Start, pose_distance, run_starts
+from adagmm_o3d.search.starts import around
 
 # The share of points without a partner at which all ends are compared where none is compared at its own.
 ONE_SHARE = 0.1
@@ -64,13 +64,13 @@ ABLATIONS = {
     "adagmm-without-finest-sigma": Variant(
         "The default with sigma kept from following the residuals below the floor of the deciding level.",
         replacements=(
-            Replacement("refinement", "SAMPLED_SIGMA", SIGMA_FLOOR),
-            Replacement("refinement", "AT_FLOOR", 0.0),
+            Replacement("search.refinement", "SAMPLED_SIGMA", SIGMA_FLOOR),
+            Replacement("search.refinement", "AT_FLOOR", 0.0),
         ),
     ),
     "adagmm-finest-sigma-everywhere": Variant(
         "The default with sigma free to follow the residuals on clouds of some thousand points as on dense ones.",
-        replacements=(Replacement("refinement", "SAMPLED_SIGMA", FINEST_SIGMA),),
+        replacements=(Replacement("search.refinement", "SAMPLED_SIGMA", FINEST_SIGMA),),
     ),
     "adagmm-without-mutuality": Variant(
         "The default with each pair's weight a share of the source point's alone, for large clouds too.",
@@ -81,22 +81,22 @@ ABLATIONS = {
     ),
     "adagmm-close-volume": Variant(
         "The default with points without a partner spread over little more than the clouds.",
-        replacements=(Replacement("mixture_registration", "OPEN_VOLUME", CLOSE_VOLUME),),
+        replacements=(Replacement("search.register", "OPEN_VOLUME", CLOSE_VOLUME),),
     ),
     "adagmm-without-acceleration": Variant(
         "The default with every step of the last refinement as EM gives it.",
         replacements=(
-            Replacement("expectation", "accelerate", keep_the_step),
-            Replacement("refinement", "run_starts", run_starts_unaccelerated),
+            Replacement("em.expectation", "accelerate", keep_the_step),
+            Replacement("search.refinement", "run_starts", run_starts_unaccelerated),
         ),
     ),
     "adagmm-without-condensing": Variant(
         "The default with all points of dense clouds from the first iteration of the refinement on.",
-        replacements=(Replacement("condensing", "CONDENSED_FROM", math.inf),),
+        replacements=(Replacement("mixtures.condensing", "CONDENSED_FROM", math.inf),),
     ),
     "adagmm-without-parts": Variant(
         "The default with all points of dense clouds at once where the condensed ones have come to their end.",
-        replacements=(Replacement("refinement", "SAMPLED_FROM", math.inf),),
+        replacements=(Replacement("search.refinement", "SAMPLED_FROM", math.inf),),
     ),
     "adagmm-without-centroids": Variant("The default, started at the identity only.", {"start": "init"}),
     "adagmm-without-search": Variant(
@@ -104,34 +104,34 @@ ABLATIONS = {
     ),
     "adagmm-always-searching": Variant(
         "The default with a search after a result without doubt too.",
-        replacements=(Replacement("cascade", "TIGHT", 0.0),),
+        replacements=(Replacement("search.levels", "TIGHT", 0.0),),
     ),
     "adagmm-tight-at-any-overlap": Variant(
         "The default with tight residuals trusted however few points have a partner.",
-        replacements=(Replacement("cascade", "TIGHT_UNMATCHED", 1.0),),
+        replacements=(Replacement("search.levels", "TIGHT_UNMATCHED", 1.0),),
     ),
     "adagmm-without-shifted-starts": Variant(
         "The default with a search among turned starts only.",
-        replacements=(Replacement("starts", "around", turned_only),),
+        replacements=(Replacement("search.starts", "around", turned_only),),
     ),
     "adagmm-without-turned-starts": Variant(
         "The default with a search among shifted starts only.",
-        replacements=(Replacement("starts", "around", shifted_only),),
+        replacements=(Replacement("search.starts", "around", shifted_only),),
     ),
     "adagmm-without-sketch": Variant(
         f"The default with all starts of a search tried on {MERGED} components.",
-        replacements=(Replacement("cascade", "SKETCHED", {2: MERGED, 3: MERGED}),),
+        replacements=(Replacement("search.levels", "SKETCHED", {2: MERGED, 3: MERGED}),),
     ),
     "adagmm-decided-from-the-sketch": Variant(
         "The default with the ends of the sketch taken to the deciding level at once.",
-        replacements=(Replacement("cascade", "Cascade._narrowed", narrowed_by_the_sketch),),
+        replacements=(Replacement("search.levels", "Cascade._narrowed", narrowed_by_the_sketch),),
     ),
     "adagmm-decided-on-all-points": Variant(
         "The default with a search among small clouds decided on all of their points.",
-        replacements=(Replacement("cascade", "SMALL_DECIDING", SMALL),),
+        replacements=(Replacement("search.levels", "SMALL_DECIDING", SMALL),),
     ),
     "adagmm-compared-at-one-share": Variant(
         f"The default with the ends of a search compared as if {ONE_SHARE:.0%} of the points had no partner.",
-        replacements=(Replacement("cascade", "run_starts", compared_at_one_share),),
+        replacements=(Replacement("search.levels", "run_starts", compared_at_one_share),),
     ),
 }

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from adagmm_bench.speed.measurement import Measurement, best_seconds
-from adagmm_o3d.kernels.pair_loop import PairLoop
-from adagmm_o3d.mixture import make_mixture, normalise
+from adagmm_o3d.mixtures.mixture import make_mixture
+from adagmm_o3d.mixtures.normalisation import normalise
+from adagmm_o3d.pairs.cpu_pairs import PairLoop
 
 POINTS = 4000
 WIDE_SIGMA = 0.3  # so wide that no tile of pairs may be left out

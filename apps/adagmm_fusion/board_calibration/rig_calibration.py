@@ -15,8 +15,8 @@ from adagmm_fusion.board_calibration.sensor import (
 )
 from adagmm_fusion.board_calibration.views import SensorViews
 from adagmm_fusion.errors import RecordingError
-from adagmm_fusion.frames import PinholeIntrinsics, checked_rigid_transformation
-from adagmm_fusion.rig import Rig, SensorCalibration
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics, checked_rigid_transformation
+from adagmm_fusion.rigs.rig import Rig, SensorCalibration
 
 MIN_COMMON_VIEWS = 3
 # Of good boards the error is a fraction of a pixel; far above, the two sensors do not see the same thing.

@@ -8,7 +8,7 @@ import numpy as np
 from adagmm_fusion.board_calibration.boards import MIN_CORNERS, BoardCorners, Charuco, Chessboard
 from adagmm_fusion.board_calibration.views import SensorViews
 from adagmm_fusion.errors import RecordingError
-from adagmm_fusion.frames import PinholeIntrinsics
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_o3d.errors import InputError
 
 MIN_VIEWS = 5

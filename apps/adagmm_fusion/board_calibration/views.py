@@ -14,9 +14,9 @@ import numpy as np
 
 from adagmm_fusion.board_calibration.boards import BoardCorners, Charuco, Chessboard
 from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.files.image_files import COLOR_SUFFIXES, read_color, read_depth
 from adagmm_fusion.formats.options import listed_images
-from adagmm_fusion.image_files import COLOR_SUFFIXES, read_color, read_depth
-from adagmm_fusion.rig import SENSOR_NAME
+from adagmm_fusion.rigs.rig import SENSOR_NAME
 from adagmm_o3d.errors import InputError
 
 # Depth at a corner is the median of this many pixels around it, a side; at the corner itself it may be missing.

@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     from adagmm_fusion.board_calibration.rig_calibration import calibrate_rig
     from adagmm_fusion.board_calibration.views import find_boards
     from adagmm_fusion.commands.progress import progress_bar
-    from adagmm_fusion.rig import save_rig
+    from adagmm_fusion.rigs.rig import save_rig
     from adagmm_o3d.errors import InputError
 
     if not 0 < args.depth_scale < float("inf"):

@@ -22,7 +22,7 @@ def run(args: argparse.Namespace) -> int:
         something.
     """
     from adagmm_fusion.commands.progress import progress_bar
-    from adagmm_fusion.recording_writer import convert_recording
+    from adagmm_fusion.recordings.writer import convert_recording
 
     recording = recording_of(args)
     with progress_bar(recording.name) as report:

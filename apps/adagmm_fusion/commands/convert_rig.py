@@ -43,9 +43,9 @@ def run(args: argparse.Namespace) -> int:
     import numpy as np
 
     from adagmm_fusion.board_calibration.boards import parse_board_size
-    from adagmm_fusion.frames import inverse_rigid
-    from adagmm_fusion.rig import Rig, SensorCalibration, save_rig
-    from adagmm_fusion.rig_import import read_camera, read_stereo_pose
+    from adagmm_fusion.frames.rgbd import inverse_rigid
+    from adagmm_fusion.rigs.importing import read_camera, read_stereo_pose
+    from adagmm_fusion.rigs.rig import Rig, SensorCalibration, save_rig
     from adagmm_o3d.errors import InputError
 
     size = parse_board_size(args.size, "--size") if args.size else None

@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     ------
     AdaGMMError  if the recording cannot be used, the poses are not known, or a result cannot be written.
     """
-    from adagmm_fusion.output_folder import exclusive
+    from adagmm_fusion.files.output_folder import exclusive
 
     recording = recording_of(args)
     folder = Path(args.output) if args.output else Path("output") / f"{recording.path.resolve().name}_fused"
@@ -77,9 +77,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _fuse(args: argparse.Namespace, recording, folder: Path) -> None:
     from adagmm_fusion.commands.progress import staged_progress_bar
+    from adagmm_fusion.pairs.settings import Settings
     from adagmm_fusion.sequence.fused_mesh import fuse_frames, save_fused_mesh
     from adagmm_fusion.sequence.scene import scene_of
-    from adagmm_fusion.settings import Settings
 
     scene = scene_of(recording, args.moment)
     settings = Settings(max_depth_m=args.max_depth, target_points=args.target_points, device=args.device)

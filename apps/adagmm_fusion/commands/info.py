@@ -25,7 +25,7 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
 
     from adagmm_fusion.commands.progress import progress_bar
-    from adagmm_fusion.recording_summary import summarize_recording, summary_tables
+    from adagmm_fusion.recordings.summary import summarize_recording, summary_tables
 
     recording = recording_of(args)
     with progress_bar(recording.name) as report:

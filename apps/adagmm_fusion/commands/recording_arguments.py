@@ -2,7 +2,7 @@
 
 import argparse
 
-from adagmm_fusion.frame_sequence import Recording
+from adagmm_fusion.recordings.frame_sequence import Recording
 
 
 def add_recording_arguments(command: argparse.ArgumentParser) -> None:
@@ -24,6 +24,6 @@ def add_recording_arguments(command: argparse.ArgumentParser) -> None:
 
 def recording_of(args: argparse.Namespace) -> Recording:
     """Open what the arguments name. Raises RecordingError, RigError or InputError as open_recording does."""
-    from adagmm_fusion.recording import open_recording
+    from adagmm_fusion.recordings.opening import open_recording
 
     return open_recording(args.recording, format=args.format, rig=args.calibration, step=args.step)

@@ -49,10 +49,10 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
 
     from adagmm_fusion.commands.progress import progress_bar
-    from adagmm_fusion.recording import open_recording
-    from adagmm_fusion.rig import load_rig
-    from adagmm_fusion.rig_check import MIN_FRAMES, check_rig
-    from adagmm_fusion.settings import Settings
+    from adagmm_fusion.pairs.settings import Settings
+    from adagmm_fusion.recordings.opening import open_recording
+    from adagmm_fusion.rigs.checking import MIN_FRAMES, check_rig
+    from adagmm_fusion.rigs.rig import load_rig
     from adagmm_o3d.errors import InputError
 
     if args.frames < MIN_FRAMES:

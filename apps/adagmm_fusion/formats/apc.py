@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.files.image_files import image_size, inside, load_frame
 from adagmm_fusion.formats.options import ReadOptions, intrinsics_from_matrix
 from adagmm_fusion.formats.text_table import parse_numbers, parse_pose, read_lines
-from adagmm_fusion.frame_sequence import FrameEntry, Recording, sequential_pairs
-from adagmm_fusion.image_files import image_size, inside, load_frame
+from adagmm_fusion.recordings.frame_sequence import FrameEntry, Recording, sequential_pairs
 
 NAME = "apc"
 SUMMARY = "Amazon Picking Challenge scene (cam.info.txt, frame-000000.color.png, .depth.png)"

@@ -19,9 +19,9 @@ from rosbags.rosbag1 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
-from adagmm_fusion.depth_registration import register_depth
 from adagmm_fusion.errors import RecordingError
-from adagmm_fusion.frames import PinholeIntrinsics, inverse_rigid
+from adagmm_fusion.frames.depth_registration import register_depth
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics, inverse_rigid
 from adagmm_o3d.errors import InputError
 
 STREAM_INFO = "uint32 fps\nstring encoding\nbool is_recommended\n"

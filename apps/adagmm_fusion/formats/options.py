@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from adagmm_fusion.errors import RecordingError
-from adagmm_fusion.frames import PinholeIntrinsics
-from adagmm_fusion.rig import Rig
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics
+from adagmm_fusion.rigs.rig import Rig
 from adagmm_o3d.errors import InputError
 
 # The PrimeSense sensor's nominal intrinsics, which Kinect v1, Xtion and Open3D's samples go by.

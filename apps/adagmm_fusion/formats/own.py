@@ -24,12 +24,12 @@ from pathlib import Path
 import numpy as np
 
 from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.files.image_files import COLOR_SUFFIXES, inside, load_frame
+from adagmm_fusion.files.strict_yaml import Item, read_yaml
 from adagmm_fusion.formats.options import ReadOptions, listed_images
-from adagmm_fusion.frame_sequence import FrameEntry, PairEntry, Recording, sequential_pairs
-from adagmm_fusion.frames import RGBDFrame, checked_rigid_transformation
-from adagmm_fusion.image_files import COLOR_SUFFIXES, inside, load_frame
-from adagmm_fusion.rig import SENSOR_NAME, Rig, SensorCalibration, load_rig
-from adagmm_fusion.strict_yaml import Item, read_yaml
+from adagmm_fusion.frames.rgbd import RGBDFrame, checked_rigid_transformation
+from adagmm_fusion.recordings.frame_sequence import FrameEntry, PairEntry, Recording, sequential_pairs
+from adagmm_fusion.rigs.rig import SENSOR_NAME, Rig, SensorCalibration, load_rig
 from adagmm_o3d.errors import InputError
 
 NAME = "adagmm"

@@ -14,10 +14,10 @@ from functools import partial
 from pathlib import Path
 
 from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.files.image_files import image_size, inside, load_frame
 from adagmm_fusion.formats.options import ReadOptions, intrinsics_from_matrix
 from adagmm_fusion.formats.text_table import parse_numbers, parse_pose, read_matrix, read_rows
-from adagmm_fusion.frame_sequence import FrameEntry, PairEntry, Recording, sequential_pairs
-from adagmm_fusion.image_files import image_size, inside, load_frame
+from adagmm_fusion.recordings.frame_sequence import FrameEntry, PairEntry, Recording, sequential_pairs
 
 NAME = "posefile"
 SUMMARY = "folder with images/, depth/, K.txt, poses.txt, all_frame_names.txt"

@@ -19,12 +19,12 @@ from pathlib import Path
 import numpy as np
 
 from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.files.image_files import COLOR_SUFFIXES, inside, load_frame
+from adagmm_fusion.files.input_file import read_input_text
 from adagmm_fusion.formats.options import PRIMESENSE, ReadOptions, intrinsics_from_matrix, listed_images
 from adagmm_fusion.formats.text_table import parse_numbers, parse_pose, read_rows
-from adagmm_fusion.frame_sequence import FrameEntry, Recording, sequential_pairs
-from adagmm_fusion.frames import PinholeIntrinsics
-from adagmm_fusion.image_files import COLOR_SUFFIXES, inside, load_frame
-from adagmm_fusion.input_file import read_input_text
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics
+from adagmm_fusion.recordings.frame_sequence import FrameEntry, Recording, sequential_pairs
 
 NAME = "redwood"
 SUMMARY = "Redwood/Open3D folder (color/, depth/, trajectory.log)"

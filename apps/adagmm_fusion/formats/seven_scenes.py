@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.files.image_files import inside, load_frame
 from adagmm_fusion.formats.options import ReadOptions
 from adagmm_fusion.formats.text_table import parse_pose, read_rows
-from adagmm_fusion.frame_sequence import FrameEntry, Recording, sequential_pairs
-from adagmm_fusion.frames import PinholeIntrinsics
-from adagmm_fusion.image_files import inside, load_frame
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics
+from adagmm_fusion.recordings.frame_sequence import FrameEntry, Recording, sequential_pairs
 
 NAME = "7scenes"
 SUMMARY = "7-Scenes sequence (frame-000000.color.png, .depth.png, .pose.txt)"

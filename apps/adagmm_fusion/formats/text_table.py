@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from adagmm_fusion.errors import RecordingError
-from adagmm_fusion.frames import checked_rigid_transformation
-from adagmm_fusion.input_file import read_input_text
+from adagmm_fusion.files.input_file import read_input_text
+from adagmm_fusion.frames.rgbd import checked_rigid_transformation
 from adagmm_o3d.errors import InputError
 
 

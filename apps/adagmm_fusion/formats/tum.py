@@ -21,12 +21,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.files.image_files import inside, load_frame
+from adagmm_fusion.files.input_file import read_input_text
 from adagmm_fusion.formats.options import ReadOptions
 from adagmm_fusion.formats.text_table import parse_numbers, read_rows
-from adagmm_fusion.frame_sequence import FrameEntry, PairEntry, Recording, sequential_pairs
-from adagmm_fusion.frames import PinholeIntrinsics
-from adagmm_fusion.image_files import inside, load_frame
-from adagmm_fusion.input_file import read_input_text
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics
+from adagmm_fusion.recordings.frame_sequence import FrameEntry, PairEntry, Recording, sequential_pairs
 
 NAME = "tum"
 SUMMARY = "TUM RGB-D folder (rgb.txt, depth.txt, groundtruth.txt)"

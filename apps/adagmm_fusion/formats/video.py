@@ -11,12 +11,12 @@ from functools import lru_cache, partial
 from pathlib import Path
 
 from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.files.image_files import checked_frame, inside
 from adagmm_fusion.formats.bag_stream import BagStream
 from adagmm_fusion.formats.mkv_stream import MKVStream
 from adagmm_fusion.formats.options import ReadOptions
-from adagmm_fusion.frame_sequence import FrameEntry, PairEntry, Recording, sequential_pairs
-from adagmm_fusion.frames import PinholeIntrinsics, RGBDFrame
-from adagmm_fusion.image_files import checked_frame, inside
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame
+from adagmm_fusion.recordings.frame_sequence import FrameEntry, PairEntry, Recording, sequential_pairs
 
 NAME = "video"
 SUMMARY = "Azure Kinect .mkv or RealSense .bag, one file or a folder of synchronised ones"

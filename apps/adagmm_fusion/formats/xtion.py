@@ -16,14 +16,14 @@ from pathlib import Path
 
 import numpy as np
 
-from adagmm_fusion.depth_registration import register_depth
 from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.files.image_files import checked_frame, image_size, inside, read_color
 from adagmm_fusion.formats.matlab_file import read_variable
 from adagmm_fusion.formats.options import ReadOptions, intrinsics_from_matrix
 from adagmm_fusion.formats.text_table import parse_pose, read_matrix
-from adagmm_fusion.frame_sequence import FrameEntry, PairEntry, Recording
-from adagmm_fusion.frames import PinholeIntrinsics, RGBDFrame, checked_rigid_transformation, inverse_rigid
-from adagmm_fusion.image_files import checked_frame, image_size, inside, read_color
+from adagmm_fusion.frames.depth_registration import register_depth
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame, checked_rigid_transformation, inverse_rigid
+from adagmm_fusion.recordings.frame_sequence import FrameEntry, PairEntry, Recording
 from adagmm_o3d.errors import InputError
 
 NAME = "xtion"

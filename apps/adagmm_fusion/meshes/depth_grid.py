@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from adagmm_fusion.depth_geometry import depth_edges, depth_in_range, depth_jumps, pixel_rays
-from adagmm_fusion.frames import RGBDFrame
+from adagmm_fusion.frames.depth_geometry import depth_edges, depth_in_range, depth_jumps, pixel_rays
+from adagmm_fusion.frames.rgbd import RGBDFrame
 from adagmm_o3d.errors import InputError
 
 # Triangles seen at a more grazing angle than this are more likely a gap between two surfaces.

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 import open3d as o3d
 
-from adagmm_fusion.frames import RGBDFrame
+from adagmm_fusion.frames.rgbd import RGBDFrame
 from adagmm_fusion.meshes.depth_grid import textured_grid
 from adagmm_fusion.meshes.texture_views import texture_view
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh

@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 
-from adagmm_fusion.depth_geometry import depth_edges, depth_in_range
-from adagmm_fusion.frames import RGBDFrame
+from adagmm_fusion.frames.depth_geometry import depth_edges, depth_in_range
+from adagmm_fusion.frames.rgbd import RGBDFrame
 
 MIN_DEPTH_M = 0.1
 

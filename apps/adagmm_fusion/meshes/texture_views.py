@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import open3d as o3d
 
-from adagmm_fusion.frames import RGBDFrame, inverse_rigid
+from adagmm_fusion.frames.rgbd import RGBDFrame, inverse_rigid
 from adagmm_fusion.meshes.pinhole_images import pinhole_images
 
 # A point counts as seen if no surface lies farther than this before it: where sensors disagree the mesh is in between.

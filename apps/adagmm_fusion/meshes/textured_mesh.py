@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import open3d as o3d
 
-from adagmm_fusion.atomic_file import replacing
 from adagmm_fusion.errors import OutputError
+from adagmm_fusion.files.atomic_file import replacing
 from adagmm_fusion.meshes.glb_file import textured_glb
 
 

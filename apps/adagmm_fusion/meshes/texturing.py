@@ -11,7 +11,7 @@ saw them, they are the back that fusion gives to every surface.
 import numpy as np
 import open3d as o3d
 
-from adagmm_fusion.frames import RGBDFrame
+from adagmm_fusion.frames.rgbd import RGBDFrame
 from adagmm_fusion.meshes.texture_views import TextureView, texture_view
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh
 from adagmm_o3d.errors import InputError

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import open3d as o3d
 
-from adagmm_fusion.atomic_file import replacing
 from adagmm_fusion.errors import OutputError
-from adagmm_fusion.frames import RGBDFrame, inverse_rigid
+from adagmm_fusion.files.atomic_file import replacing
+from adagmm_fusion.files.ply_file import ply_bytes
+from adagmm_fusion.frames.rgbd import RGBDFrame, inverse_rigid
 from adagmm_fusion.meshes.glb_file import colored_glb
 from adagmm_fusion.meshes.pinhole_images import pinhole_images
-from adagmm_fusion.ply_file import ply_bytes
 from adagmm_o3d.errors import InputError
 
 BLOCK_RESOLUTION = 8  # voxels a side

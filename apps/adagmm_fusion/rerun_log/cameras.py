@@ -3,7 +3,7 @@
 import numpy as np
 import rerun as rr
 
-from adagmm_fusion.frames import PinholeIntrinsics, RGBDFrame
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame
 from adagmm_fusion.rerun_log.entities import SOURCE, TARGET, Sensor
 from adagmm_fusion.rerun_log.when import When
 

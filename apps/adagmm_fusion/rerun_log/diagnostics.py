@@ -6,7 +6,7 @@ import numpy as np
 import open3d as o3d
 from scipy.spatial import cKDTree
 
-from adagmm_fusion.frames import RGBDFrame
+from adagmm_fusion.frames.rgbd import RGBDFrame
 
 HIDDEN, CONTRADICTED, PARTNER = 0, 1, 2
 SPACINGS_TO_A_PARTNER = 3.0

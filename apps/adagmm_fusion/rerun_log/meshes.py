@@ -3,7 +3,7 @@
 import numpy as np
 import rerun as rr
 
-from adagmm_fusion.frames import RGBDFrame
+from adagmm_fusion.frames.rgbd import RGBDFrame
 from adagmm_fusion.meshes.depth_grid import textured_grid
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh
 from adagmm_fusion.rerun_log.clouds import lit_colors

@@ -3,8 +3,8 @@
 import numpy as np
 import rerun as rr
 
-from adagmm_fusion.depth_geometry import back_project
-from adagmm_fusion.frames import RGBDFrame
+from adagmm_fusion.frames.depth_geometry import back_project
+from adagmm_fusion.frames.rgbd import RGBDFrame
 from adagmm_fusion.rerun_log.cameras import JPEG_QUALITY
 from adagmm_fusion.rerun_log.entities import TARGET
 from adagmm_fusion.rerun_log.when import When

@@ -4,7 +4,7 @@ import numpy as np
 import open3d as o3d
 import rerun as rr
 
-from adagmm_fusion.frames import RGBDPair
+from adagmm_fusion.frames.rgbd import RGBDPair
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh
 from adagmm_fusion.rerun_log import entities
 from adagmm_fusion.rerun_log.cameras import log_blank_images, log_frustum, log_images, log_pose

@@ -15,7 +15,7 @@ from pathlib import Path
 import rerun as rr
 
 from adagmm_fusion.errors import OutputError
-from adagmm_fusion.interruption import Terminated, exit_code, signals_as_interrupts
+from adagmm_fusion.processes.interruption import Terminated, exit_code, signals_as_interrupts
 
 APPLICATION_ID = "adagmm_fusion"
 LOOPBACK = "127.0.0.1"

@@ -3,9 +3,9 @@
 import cv2
 import numpy as np
 
-from adagmm_fusion.depth_geometry import depth_in_range
-from adagmm_fusion.feature_start import FeatureStart
-from adagmm_fusion.frames import RGBDFrame
+from adagmm_fusion.frames.depth_geometry import depth_in_range
+from adagmm_fusion.frames.rgbd import RGBDFrame
+from adagmm_fusion.pairs.feature_start import FeatureStart
 
 # Matches agree with a pose up to this distance; a registered pose is not that of the features alone.
 AGREEMENT_PX = 10.0

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from adagmm_fusion.atomic_file import write_text
 from adagmm_fusion.errors import OutputError
+from adagmm_fusion.files.atomic_file import write_text
 from adagmm_fusion.sequence.edges import Edge
 
 FORMAT, VERSION = "adagmm-edges", 1

@@ -4,12 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adagmm_fusion.clouds import MIN_DEPTH
-from adagmm_fusion.feature_start import find_feature_start
-from adagmm_fusion.frames import RGBDPair
-from adagmm_fusion.pipeline import register_pair
+from adagmm_fusion.clouds.building import MIN_DEPTH
+from adagmm_fusion.frames.rgbd import RGBDPair
+from adagmm_fusion.pairs.feature_start import find_feature_start
+from adagmm_fusion.pairs.pipeline import register_pair
+from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.sequence.confirmation import depth_confirms, features_confirm
-from adagmm_fusion.settings import Settings
 from adagmm_o3d.evaluation import information_matrix, overlap_ratio
 
 # One wrong pose bends the whole path, so geometry that the colour images do not confirm must overlap this much; where

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import open3d as o3d
 
-from adagmm_fusion.frame_sequence import Recording
 from adagmm_fusion.meshes.joined_grids import textured_moment
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh, save_textured_mesh
 from adagmm_fusion.meshes.texturing import Texturing
 from adagmm_fusion.meshes.tsdf import TSDFVolume, save_mesh
+from adagmm_fusion.recordings.frame_sequence import Recording
 
 # Up to so many frames the images' own grids make the better surface; a voxel grid needs several views of each place.
 MAX_JOINED = 4

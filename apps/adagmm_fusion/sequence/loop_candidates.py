@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 from scipy.cluster.vq import kmeans2, vq
 
-from adagmm_fusion.feature_start import color_features
-from adagmm_fusion.frame_sequence import Recording
+from adagmm_fusion.pairs.feature_start import color_features
+from adagmm_fusion.recordings.frame_sequence import Recording
 from adagmm_o3d.errors import AdaGMMError
 
 # A longer recording is taken in so many stretches: gaps are counted in them, and between two of them one loop is

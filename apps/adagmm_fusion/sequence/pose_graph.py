@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import open3d as o3d
 
-from adagmm_fusion.frames import inverse_rigid
+from adagmm_fusion.frames.rgbd import inverse_rigid
 from adagmm_fusion.sequence.edges import Edge
 from adagmm_o3d import lie
 

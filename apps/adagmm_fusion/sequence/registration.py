@@ -2,14 +2,14 @@
 
 from collections.abc import Callable
 
-from adagmm_fusion.frame_sequence import Recording
-from adagmm_fusion.frames import RGBDFrame, RGBDPair
+from adagmm_fusion.frames.rgbd import RGBDFrame, RGBDPair
+from adagmm_fusion.pairs.settings import Settings
+from adagmm_fusion.recordings.frame_sequence import Recording
 from adagmm_fusion.sequence.edge_file import EdgeFile
 from adagmm_fusion.sequence.edges import Edge, registered_edge
 from adagmm_fusion.sequence.loop_candidates import alike_frames, near_frames, thinned
 from adagmm_fusion.sequence.pose_graph import chained_poses, connected_sets
 from adagmm_fusion.sequence.scene import Scene
-from adagmm_fusion.settings import Settings
 from adagmm_o3d.errors import AdaGMMError
 
 # A frame that cannot be registered with the one before is tried with those before that.

@@ -4,12 +4,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
-from adagmm_fusion.clouds import dense_cloud, find_voxel_size
+from adagmm_fusion.clouds.building import dense_cloud, find_voxel_size
 from adagmm_fusion.errors import RecordingError
-from adagmm_fusion.frame_sequence import Recording
-from adagmm_fusion.frames import RGBDFrame
+from adagmm_fusion.frames.rgbd import RGBDFrame
+from adagmm_fusion.pairs.settings import Settings
+from adagmm_fusion.recordings.frame_sequence import Recording
 from adagmm_fusion.sequence.edges import Edge, rig_edge
-from adagmm_fusion.settings import Settings
 
 ALL = "all"
 

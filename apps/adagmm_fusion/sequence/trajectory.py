@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from adagmm_fusion.atomic_file import write_text
-from adagmm_fusion.frame_sequence import Recording
+from adagmm_fusion.files.atomic_file import write_text
+from adagmm_fusion.recordings.frame_sequence import Recording
 
 
 def save_trajectory(path: Path, recording: Recording, poses: dict[int, np.ndarray]) -> None:

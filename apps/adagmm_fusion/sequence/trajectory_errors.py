@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adagmm_fusion.frames import inverse_rigid
+from adagmm_fusion.frames.rgbd import inverse_rigid
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.evaluation import rotation_error_deg
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adagmm_fusion.frames import PinholeIntrinsics
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.simulation.raycast import Hits, Scene
 from adagmm_fusion.simulation.room import LIGHT_CENTER, LIGHT_SIZE
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from adagmm_fusion.atomic_file import replacing, write_text
 from adagmm_fusion.errors import OutputError
-from adagmm_fusion.frames import inverse_rigid
-from adagmm_fusion.rig import Rig, SensorCalibration, save_rig
+from adagmm_fusion.files.atomic_file import replacing, write_text
+from adagmm_fusion.frames.rgbd import inverse_rigid
+from adagmm_fusion.rigs.rig import Rig, SensorCalibration, save_rig
 from adagmm_fusion.simulation.kinect import INTRINSICS, KinectModel, render_color, render_depth
 from adagmm_fusion.simulation.raycast import Scene
 from adagmm_fusion.simulation.room import furnish

@@ -1,0 +1,134 @@
+"""The two E-steps: the paper's adaptive weights, and posteriors on convolved Gaussians (the default)."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+
+from adagmm_o3d.arguments import Array
+from adagmm_o3d.em.sigma_rules import Scale, SigmaRule
+from adagmm_o3d.kernels.cpu.acceleration import LOG_SIGMA, UNMATCHED_SHARE, accelerate, empty_memory, forget
+from adagmm_o3d.lie import se_exp
+from adagmm_o3d.pairs.protocol import Pairs, PairSums, PosteriorSums
+
+# Points without a partner are spread evenly over a volume, in units of the radius to the power of the dimension: the
+# whole world of a cloud, where they may be anywhere; or little more than the clouds themselves where they are surfaces
+# that only one of the clouds has seen, next to those that both have. The smaller it is, the sooner a point that has no
+# partner nearby is let go.
+OPEN_VOLUME = {2: 12.0, 3: 30.0}
+CLOSE_VOLUME = {2: 1.0, 3: 1.0}
+# The share of such points is estimated within these bounds: never none, never nearly all.
+LEAST_UNMATCHED, MOST_UNMATCHED = 0.05, 0.7
+# No part of a cloud that decides between ends resolves its shape better than this: a standard deviation of 1.6 % of the
+# radius. On all points of clouds of some thousand σ follows the residuals down to 1 %, a fraction of their spacing;
+# below, chance coincidences of the samples decide (on recordings of five sensors poses got worse). Dense clouds tell
+# more: there it may follow to where float32 coordinates still have three digits.
+SIGMA_FLOOR, SAMPLED_SIGMA, FINEST_SIGMA = 2.5e-4, 1e-4, 1e-6
+# How fast σ may fall on all points: to this share of itself in an iteration.
+FASTEST = 0.8
+# σ counts as settled when it changes by less than this share.
+SIGMA_TOLERANCE = 0.01
+
+
+class Expectation(Protocol):
+    """An E-step with the scale it works at."""
+
+    scale: Scale
+
+    def e_step(self, pose: Array) -> PairSums:
+        """All pairs weighed at `pose`."""
+
+    def advance(self, pose: Array, delta: Array, sums: PairSums, settled: bool) -> tuple[Array, bool]:
+        """Move `pose` along the M-step's `delta` and choose the next scale: the new pose, and whether the loop is done.
+
+        `settled` says that the step was a short one.
+        """
+
+    def matched(self, sums: PairSums) -> float:
+        """Estimated share of the source that has a partner."""
+
+
+class AdaptiveExpectation:
+    """The paper's: C of Eq. 5 for every pair, σ by a rule on nearest distances."""
+
+    def __init__(self, pairs: Pairs, rule: SigmaRule, start: Array) -> None:
+        self._pairs, self._rule = pairs, rule
+        self.scale = rule.first(pairs, start)
+
+    def e_step(self, pose: Array) -> PairSums:
+        return self._pairs.sums(pose, self.scale.source, self.scale.target)
+
+    def advance(self, pose: Array, delta: Array, sums: PairSums, settled: bool) -> tuple[Array, bool]:
+        pose = se_exp(delta) @ pose
+        scale = self._rule.next(self._pairs, pose, self.scale, settled)
+        self.scale = scale or self.scale
+        return pose, scale is None
+
+    def matched(self, sums: PairSums) -> float:
+        """The paper's weights are no probabilities: the mean weight of a source point, relative to the largest."""
+        return float(sums.row_weights.mean() / sums.row_weights.max())
+
+
+class PosteriorExpectation:
+    """Every pair weighed by the probability, given both clouds, that its points are the same place.
+
+    σ follows from the weights themselves: the mean squared Mahalanobis distance of the pairs, each by its weight, over
+    the dimension is what σ would have to be for the residuals to look as the mixtures say (CPD's update of σ²). Points
+    without a partner have no weight and do not hold it up, and it stops falling where the noise is. A fall by more than
+    the factor `fastest` at once would cost basin, so it is bounded. The share of points without a partner is estimated
+    from the same sums.
+    """
+
+    def __init__(
+        self,
+        pairs: Pairs,
+        dimension: int,
+        sigma: float,
+        *,
+        unmatched: float,
+        mutuality: float,
+        volume: float,
+        fastest: float = FASTEST,
+        floor: float = FINEST_SIGMA,
+    ) -> None:
+        self._pairs, self._dimension = pairs, dimension
+        self._fastest, self._floor, self._mutuality, self._volume = fastest, floor, mutuality, volume
+        self.scale = Scale(sigma, sigma)
+        self.unmatched = unmatched
+        self._memory = empty_memory()
+        forget(self._memory)
+
+    def e_step(self, pose: Array) -> PosteriorSums:
+        return self._pairs.posterior_sums(pose, self.scale.target, self._uniform(), self._mutuality)
+
+    def advance(self, pose: Array, delta: Array, sums: PairSums, settled: bool) -> tuple[Array, bool]:
+        assert isinstance(sums, PosteriorSums)
+        old = self.scale.target
+        wanted = max(old * sums.energy / sums.weight / self._dimension, self._floor)
+        new = max(self._fastest * old, wanted)
+        unmatched = min(max(1.0 - sums.overlap, LEAST_UNMATCHED), MOST_UNMATCHED)
+        residual = np.array([*delta, math.log(new / old), unmatched - self.unmatched])
+        step = residual.copy()
+        if new > wanted:
+            forget(self._memory)
+        else:
+            accelerate(residual, math.sqrt(old), self._memory, step)
+            new = max(old * math.exp(step[LOG_SIGMA]), self._floor)
+        self.unmatched = min(max(self.unmatched + step[UNMATCHED_SHARE], LEAST_UNMATCHED), MOST_UNMATCHED)
+        self.scale = Scale(new, new)
+        done = settled and abs(residual[LOG_SIGMA]) < SIGMA_TOLERANCE
+        return se_exp(step[:LOG_SIGMA]) @ pose, done
+
+    def matched(self, sums: PairSums) -> float:
+        assert isinstance(sums, PosteriorSums)
+        return sums.overlap
+
+    def _uniform(self) -> float:
+        return uniform_density(self.unmatched, self._dimension, self._volume)
+
+
+def uniform_density(unmatched: float, dimension: int, volume: float) -> float:
+    """Density of the points without a partner relative to that of a mixture, without the constant (2π)^(-D/2)."""
+    return (2.0 * math.pi) ** (0.5 * dimension) / volume * unmatched / (1.0 - unmatched)

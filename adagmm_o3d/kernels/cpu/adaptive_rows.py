@@ -1,0 +1,180 @@
+"""The paper's E-step: every pair weighted by both points' own Gaussians, and the sums that its M-step needs.
+
+Every array is a structure of arrays (one row per component), so that the innermost loop, over target points, becomes
+vector code. Pairs are evaluated in float32 and summed in float64.
+"""
+
+import numpy as np
+from numba import njit, prange
+
+from adagmm_o3d.kernels.cpu.compiling import F0, F1, FLAGS, KERNEL_FLAGS, formulas, source_stamp
+from adagmm_o3d.kernels.cpu.culling import CLUSTER, CLUSTERS_PER_CHUNK, RUN, cluster_box, largest, next_run
+from adagmm_o3d.kernels.cpu.exp2 import exp2_float32
+from adagmm_o3d.kernels.cpu.moving import move_symmetric
+from adagmm_o3d.kernels.cpu.normal_equations import add_rows
+from adagmm_o3d.kernels.layout import ENERGY, PRECISION, PULL, ROW_SUMS, TURN, WEIGHT
+
+symmetric_product, dot, cross = formulas.symmetric_product, formulas.dot, formulas.cross
+
+
+@njit(**FLAGS)
+def rows_anisotropic(x, a, amplitudes, i, j, count, y, turned, rows):
+    """Add to `rows` (layout.ROW_SUMS, points) the pairs of `count` source points `y` (3, points), their precisions
+    `turned` (points, 6), with the target points i..j."""
+    x0, x1, x2, amplitude = x[0, i:j], x[1, i:j], x[2, i:j], amplitudes[i:j]
+    a0, a1, a2, a3, a4, a5 = a[0, i:j], a[1, i:j], a[2, i:j], a[3, i:j], a[4, i:j], a[5, i:j]
+    for k in range(count):
+        y0, y1, y2 = y[0, k], y[1, k], y[2, k]
+        b0, b1, b2, b3, b4, b5 = turned[k, 0], turned[k, 1], turned[k, 2], turned[k, 3], turned[k, 4], turned[k, 5]
+        w = F0
+        e = F0
+        p0 = F0
+        p1 = F0
+        p2 = F0
+        p3 = F0
+        p4 = F0
+        p5 = F0
+        u0 = F0
+        u1 = F0
+        u2 = F0
+        t0 = F0
+        t1 = F0
+        t2 = F0
+        for n in range(x0.shape[0]):
+            dx = y0 - x0[n]
+            dy = y1 - x1[n]
+            dz = y2 - x2[n]
+            ax, ay, az = symmetric_product(a0[n], a1[n], a2[n], a3[n], a4[n], a5[n], dx, dy, dz)
+            bx, by, bz = symmetric_product(b0, b1, b2, b3, b4, b5, dx, dy, dz)
+            qa = dot(dx, dy, dz, ax, ay, az)
+            qb = dot(dx, dy, dz, bx, by, bz)
+            c = amplitude[n] * (exp2_float32(-qa) + exp2_float32(-qb))
+            tx, ty, tz = cross(dx, dy, dz, bx, by, bz)
+            w += c
+            e += c * (qa + qb)
+            p0 += c * a0[n]
+            p1 += c * a1[n]
+            p2 += c * a2[n]
+            p3 += c * a3[n]
+            p4 += c * a4[n]
+            p5 += c * a5[n]
+            u0 += c * (ax + bx)
+            u1 += c * (ay + by)
+            u2 += c * (az + bz)
+            t0 += c * tx
+            t1 += c * ty
+            t2 += c * tz
+        rows[WEIGHT, k] += w
+        rows[ENERGY, k] += e
+        rows[PRECISION, k] += p0
+        rows[PRECISION + 1, k] += p1
+        rows[PRECISION + 2, k] += p2
+        rows[PRECISION + 3, k] += p3
+        rows[PRECISION + 4, k] += p4
+        rows[PRECISION + 5, k] += p5
+        rows[PULL, k] += u0
+        rows[PULL + 1, k] += u1
+        rows[PULL + 2, k] += u2
+        rows[TURN, k] += t0
+        rows[TURN + 1, k] += t1
+        rows[TURN + 2, k] += t2
+
+
+@njit(**FLAGS)
+def rows_isotropic(x, precisions, amplitudes, i, j, count, y, turned, weights, rows):
+    """The same where every precision is a multiple of the identity: nothing turns, three directions share one sum.
+
+    `weights` is room for those of so many pairs: the constants of the exponentials and the sums would not fit into the
+    registers together.
+    """
+    x0, x1, x2, a, amplitude = x[0, i:j], x[1, i:j], x[2, i:j], precisions[0, i:j], amplitudes[i:j]
+    for k in range(count):
+        y0, y1, y2, b = y[0, k], y[1, k], y[2, k], turned[k, 0]
+        for n in range(x0.shape[0]):
+            dx = y0 - x0[n]
+            dy = y1 - x1[n]
+            dz = y2 - x2[n]
+            d2 = -dot(dx, dy, dz, dx, dy, dz)
+            weights[n] = amplitude[n] * (exp2_float32(a[n] * d2) + exp2_float32(b * d2))
+        w = F0
+        e = F0
+        p = F0
+        u0 = F0
+        u1 = F0
+        u2 = F0
+        for n in range(x0.shape[0]):
+            dx = y0 - x0[n]
+            dy = y1 - x1[n]
+            dz = y2 - x2[n]
+            c = weights[n]
+            f = c * (a[n] + b)
+            w += c
+            e += f * dot(dx, dy, dz, dx, dy, dz)
+            p += c * a[n]
+            u0 += f * dx
+            u1 += f * dy
+            u2 += f * dz
+        rows[WEIGHT, k] += w
+        rows[ENERGY, k] += e
+        rows[PRECISION, k] += p
+        rows[PRECISION + 3, k] += p
+        rows[PRECISION + 5, k] += p
+        rows[PULL, k] += u0
+        rows[PULL + 1, k] += u1
+        rows[PULL + 2, k] += u2
+
+
+@njit(**FLAGS)
+def add_own_precision(rows, k, turned):
+    """Make Σ C (A + B) of source point k out of Σ C A, B its own precision."""
+    for i in range(6):
+        rows[PRECISION + i, k] += rows[WEIGHT, k] * turned[k, i]
+
+
+def _build(stamp):
+    """The kernel that is called from Python; `stamp` keeps its cache fresh."""
+
+    @njit(**KERNEL_FLAGS)
+    def adaptive_sums(pose, sigmas, source, target, tiles, isotropic, chunk_lo, chunk_hi, partials, row_weights):
+        _ = stamp
+        points, precisions, amplitudes, variances, bits = source
+        x, a, target_amplitudes = target
+        m_all = points.shape[1]
+        n_all = x.shape[1]
+        count = tiles[0].shape[1]
+        for chunk in prange(chunk_lo, chunk_hi):
+            total = partials[chunk]
+            total[:] = 0.0
+            y = np.empty((3, CLUSTER), np.float32)
+            lo = np.empty(3, np.float32)
+            hi = np.empty(3, np.float32)
+            turned = np.empty((CLUSTER, 6), np.float32)
+            weights = np.empty(RUN, np.float32)
+            for cluster in range(chunk * CLUSTERS_PER_CHUNK, (chunk + 1) * CLUSTERS_PER_CHUNK):
+                m0 = cluster * CLUSTER
+                m1 = min(m_all, m0 + CLUSTER)
+                if m0 >= m1:
+                    break
+                cluster_box(pose, points, m0, m1, y, lo, hi)
+                box = (lo, hi, sigmas[0] * largest(variances, m0, m1), largest(bits, m0, m1))
+                rows = np.zeros((ROW_SUMS, CLUSTER), np.float64)
+                for m in range(m0, m1):
+                    move_symmetric(pose, precisions, F1 / sigmas[0], isotropic, m, turned, m - m0)
+                tile = 0
+                while tile < count:
+                    i, j, tile = next_run(tile, box, sigmas[1], tiles, n_all)
+                    if i >= j:
+                        break
+                    if isotropic:
+                        rows_isotropic(x, a, target_amplitudes, i, j, m1 - m0, y, turned, weights, rows)
+                    else:
+                        rows_anisotropic(x, a, target_amplitudes, i, j, m1 - m0, y, turned, rows)
+                for m in range(m0, m1):
+                    row_weights[m] = amplitudes[m] * rows[WEIGHT, m - m0]
+                    add_own_precision(rows, m - m0, turned)
+                add_rows(rows, m1 - m0, amplitudes[m0:m1], y, total)
+
+    return adaptive_sums
+
+
+adaptive_sums = _build(source_stamp())

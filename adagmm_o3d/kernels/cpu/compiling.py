@@ -1,0 +1,59 @@
+"""How the CPU kernels are compiled: the flags that make them vectorise, and a cache that cannot go stale."""
+
+import hashlib
+import logging
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+from numba.core import event
+
+from adagmm_o3d.kernels.formulas import build
+
+# Each of these is needed for vector code, and none assumes that there are no NaN or infinities.
+FAST = {"reassoc", "contract", "arcp", "nsz"}
+FLAGS = {"fastmath": FAST, "error_model": "numpy"}
+SERIAL_KERNEL_FLAGS = {"cache": True, "nogil": True, **FLAGS}
+KERNEL_FLAGS = {"parallel": True, **SERIAL_KERNEL_FLAGS}
+F0, F1 = np.float32(0.0), np.float32(1.0)
+
+_log = logging.getLogger("adagmm_o3d")
+
+
+def source_stamp() -> int:
+    """A hash of every file that a kernel is made of: those of this folder and of the one above.
+
+    Numba's cache knows only the file a kernel is in. Each kernel has this number as a free variable, which is part of
+    the cache key, so that an edit in a file it merely calls into compiles it anew.
+    """
+    here = Path(__file__).parent
+    files = sorted([*here.glob("*.py"), *here.parent.glob("*.py")])
+    return int(hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()[:15], 16)
+
+
+def is_compiled(kernel: Callable[..., None]) -> bool:
+    """Whether a kernel has been compiled, or loaded, in this process; with Numba's compiler switched off all are."""
+    return bool(getattr(kernel, "signatures", True))
+
+
+class _Announcement(event.Listener):
+    """Says once that kernels are being compiled, so that nobody takes the first registration for one that hangs."""
+
+    def on_start(self, started: event.Event) -> None:
+        if started.data["dispatcher"].py_func.__module__.startswith(__package__):
+            _announce()
+
+    def on_end(self, ended: event.Event) -> None:
+        """What has ended is of no interest."""
+
+
+@cache
+def _announce() -> None:
+    _log.warning("compiling kernels for this machine, once; this takes about half a minute")
+
+
+event.register("numba:compile", _Announcement())
+# The formulas for the CPU.
+formulas = build(njit(**FLAGS))

@@ -1,0 +1,241 @@
+"""One pass over pairs weighed by convolved Gaussians, N(d; 0, Σx + R Σy Rᵀ): a pair weighs what the density of x - y is
+at zero.
+
+Unlike the paper's weights these are shares of a likelihood, so a source point's weights can be divided by the density
+of the target mixture plus a uniform one (the points without a partner): the posterior of EM. The same is done for the
+target points by a factor for each, from the densities of a pass before.
+
+A cluster of source points meets only the target points that it can reach. These are copied together first, so that the
+loop over pairs stays dense whatever the order of the points.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from adagmm_o3d.kernels.cpu.compiling import F0, F1, FLAGS, SERIAL_KERNEL_FLAGS, source_stamp
+from adagmm_o3d.kernels.cpu.convolved_rows import (
+    FACTOR,
+    MATRIX,
+    SHARE,
+    X,
+    densities_full,
+    densities_isotropic,
+    densities_planar,
+    moments_full,
+    moments_isotropic,
+    moments_planar,
+)
+from adagmm_o3d.kernels.cpu.culling import BLOCK, CLUSTER, GROUP, RUN, TILE, cluster_box, largest, reach
+from adagmm_o3d.kernels.cpu.moving import move_symmetric
+from adagmm_o3d.kernels.cpu.normal_equations import add_rows
+from adagmm_o3d.kernels.layout import DENSITY, ROW_SUMS, TOTAL_MATCHED, TOTAL_SUMS
+
+# Points are filled up to a multiple of this, the floats of the widest vector register, with points of no weight: no
+# pair is left over for scalar code. A tile is as long.
+LANES = TILE
+# Rows a large power of two apart would all fall on the same few lines of the cache.
+SAME_LINES = 256
+STRIDE = RUN + 2 * LANES
+# So few tiles of a group are all taken as soon as one is in reach: to pick points costs more than the pairs.
+FEW_TILES = 8
+# Numba compiles a function anew for a literal.
+ZERO, ONE = np.int64(0), np.int64(1)
+
+
+def pack(points: NDArray[np.float32], weights: NDArray[np.floating], matrix_rows: int) -> NDArray[np.float32]:
+    """(5 + matrix_rows, padded n) target for `convolved_pass`: coordinates and weights, factors of one, room for the
+    matrices at σ."""
+    n = points.shape[1]
+    padded = -(-n // LANES) * LANES
+    padded += LANES if padded % SAME_LINES == 0 else 0
+    packed = np.zeros((MATRIX + matrix_rows, padded), np.float32)
+    packed[X:SHARE, :n], packed[SHARE, :n], packed[FACTOR] = points, weights, 1.0
+    packed[[MATRIX, MATRIX + 3, MATRIX + 5] if matrix_rows > 1 else MATRIX, n:] = 1.0
+    return packed
+
+
+@njit(**FLAGS)
+def run_rows(target, i, j, kind, count, own, y, turned, columns, rows):
+    """The pairs of the `count` points of a cluster with packed target points i..j."""
+    planar, isotropic, densities_only = kind
+    if densities_only:
+        if isotropic:
+            densities_isotropic(target, i, j, planar, count, own, y, turned, columns, rows)
+        elif planar:
+            densities_planar(target, i, j, count, own, y, turned, columns, rows)
+        else:
+            densities_full(target, i, j, count, own, y, turned, columns, rows)
+    elif isotropic:
+        moments_isotropic(target, i, j, planar, count, y, turned, rows)
+    elif planar:
+        moments_planar(target, i, j, count, y, turned, rows)
+    else:
+        moments_full(target, i, j, count, y, turned, rows)
+
+
+@njit(**FLAGS)
+def gather(target, index, count, near):
+    """Copy the `count` target points of `index` together, filled up with points of no weight; how many they are now."""
+    padded = (count + LANES - 1) // LANES * LANES
+    for r in range(target.shape[0]):
+        for i in range(count):
+            near[r, i] = target[r, np.uint64(index[i])]
+        for i in range(count, padded):
+            near[r, i] = F0
+    # The matrix of a point that weighs nothing only has to be invertible: the identity.
+    for i in range(count, padded):
+        near[MATRIX, i] = F1
+        if target.shape[0] > MATRIX + 1:
+            near[MATRIX + 3, i] = F1
+            near[MATRIX + 5, i] = F1
+    return padded
+
+
+@njit(**FLAGS)
+def points_in_reach(
+    first, last, lo, hi, variance, bits, packed, variances, point_bits, beyond, beyond_points, index, count
+):
+    """Put the points that a source cluster can reach, of those of tiles first..last whose `beyond` is negative, behind
+    the first `count` of `index`; how many they are now. See `culling.reach`."""
+    for t in range(first, last):
+        if beyond[t - first] < F0:
+            n0, n1 = t * TILE, min(variances.shape[0], (t + 1) * TILE)
+            reach(n0, n1, lo, hi, variance, bits, packed, packed, variances, point_bits, beyond_points)
+            for n in range(n0, n1):
+                index[count] = n
+                count += beyond_points[n - n0] < F0
+    return count
+
+
+@njit(**FLAGS)
+def convolved_pass(band, bands, pose, source, target, tiles, kind, uniform, mutuality, columns, total, densities):
+    """The pairs of one of several bands of the source with all of the target, serially.
+
+    source : points (3, M), matrices (1 or 6, M) at σ, weights float64 and float32, largest variances at σ, bits (M,).
+    target : packed (6 or 11, padded N) float32, see `pack`; largest variances at σ, bits (N,).
+    tiles : the target's, with variances at σ.   kind : (planar, isotropic, densities_only).
+    columns : (padded N,) float32, receives the density of the band at the target points, times their weight, if
+    densities_only.   total : (TOTAL_SUMS,), receives the sums if not.
+    densities : (M,) receives the target's density at the source points.
+    """
+    points, matrices, weights, weights32, variances, bits = source
+    packed, target_variances, target_bits = target
+    tile_lo, tile_hi, tile_variance, tile_bits, group_lo, group_hi, group_variance, group_bits = tiles
+    _, isotropic, densities_only = kind
+    m_all = points.shape[1]
+    tile_count, group_count = tile_lo.shape[1], group_lo.shape[1]
+    y = np.empty((3, CLUSTER), np.float32)
+    y_block = np.empty((3, BLOCK * CLUSTER), np.float32)
+    lo = np.empty(3, np.float32)
+    hi = np.empty(3, np.float32)
+    own = np.empty(CLUSTER, np.float32)
+    turned = np.empty((CLUSTER, 6), np.float32)
+    rows = np.empty((ROW_SUMS, CLUSTER), np.float64)
+    amplitudes = np.empty(CLUSTER, np.float64)
+    beyond, beyond_points = np.empty(GROUP, np.float32), np.empty(TILE, np.float32)
+    beyond_groups, groups = np.empty(group_count, np.float32), np.empty(group_count, np.int64)
+    index = np.empty(RUN, np.uint32)
+    near = np.empty((packed.shape[0], STRIDE), np.float32)
+    near_columns = np.empty(RUN, np.float32)
+    for i in range(TOTAL_SUMS):
+        total[i] = 0.0
+    if densities_only:
+        for n in range(len(columns)):
+            columns[n] = F0
+    clusters = (m_all + CLUSTER - 1) // CLUSTER
+    first_cluster, last_cluster = band * clusters // bands, (band + 1) * clusters // bands
+    met = 0
+    for cluster in range(first_cluster, last_cluster):
+        if (cluster - first_cluster) % BLOCK == 0:
+            m0, m1 = cluster * CLUSTER, min(m_all, min(cluster + BLOCK, last_cluster) * CLUSTER)
+            cluster_box(pose, points, m0, m1, y_block, lo, hi)
+            variance, own_bits = largest(variances, m0, m1), largest(bits, m0, m1)
+            reach(
+                ZERO, group_count, lo, hi, variance, own_bits,
+                group_lo, group_hi, group_variance, group_bits, beyond_groups,
+            )  # fmt: skip
+            met = 0
+            for g in range(group_count):
+                groups[met] = g
+                met += beyond_groups[g] < F0
+        m0 = cluster * CLUSTER
+        m1 = min(m_all, m0 + CLUSTER)
+        cluster_box(pose, points, m0, m1, y, lo, hi)
+        variance, own_bits = largest(variances, m0, m1), largest(bits, m0, m1)
+        rows[:] = 0.0
+        for k in range(m1 - m0):
+            own[k] = weights32[m0 + k]
+            move_symmetric(pose, matrices, F1, isotropic, m0 + k, turned, k)
+        count = ZERO
+        i = 0
+        while i < met or count > 0:
+            # The loops over pairs have one place to be called from, or they would be compiled for each.
+            gathered = i == met or count > RUN - GROUP * TILE
+            if gathered:
+                n0, n1 = 0, gather(packed, index, count, near)
+                run, run_columns = near, near_columns
+                if densities_only:
+                    for n in range(n1):
+                        near_columns[n] = F0
+            else:
+                g = groups[i]
+                i += 1
+                if not reach(
+                    g, g + 1, lo, hi, variance, own_bits, group_lo, group_hi, group_variance, group_bits, beyond
+                ):  # fmt: skip
+                    continue
+                first, last = g * GROUP, min(tile_count, (g + 1) * GROUP)
+                hits = reach(
+                    first, last, lo, hi, variance, own_bits, tile_lo, tile_hi, tile_variance, tile_bits, beyond
+                )  # fmt: skip
+                if hits < last - first and (hits == 0 or last - first > FEW_TILES):
+                    if hits > 0:
+                        count = points_in_reach(
+                            first, last, lo, hi, variance, own_bits,
+                            packed, target_variances, target_bits, beyond, beyond_points, index, count,
+                        )  # fmt: skip
+                    continue
+                n0, n1 = first * TILE, last * TILE
+                run, run_columns = packed, columns
+            run_rows(run, n0, n1, kind, m1 - m0, own, y, turned, run_columns, rows)
+            if gathered:
+                if densities_only:
+                    for k in range(count):
+                        columns[np.uint64(index[k])] += near_columns[k]
+                count = ZERO
+        for k in range(m1 - m0):
+            m = m0 + k
+            density = rows[DENSITY, k]
+            densities[m] = density
+            if not densities_only:
+                posterior = 1.0 / (density + uniform)
+                total[TOTAL_MATCHED] += weights[m] * density * posterior
+                amplitudes[k] = weights[m] * posterior
+                if mutuality > 0.0:
+                    amplitudes[k] *= (posterior * uniform) ** -mutuality
+        if not densities_only:
+            add_rows(rows, m1 - m0, amplitudes, y, total)
+
+
+def _build(stamp):
+    """The kernel that is called from Python; `stamp` keeps its cache fresh."""
+
+    @njit(**SERIAL_KERNEL_FLAGS)
+    def convolution_sums(
+        first, last, pose, source, target, tiles, kind, uniform, mutuality, columns, partials, densities
+    ):
+        """Bands first..last: fill `densities` (M,) and `partials` (bands, TOTAL_SUMS) or `columns` (bands, N); see
+        `convolved_pass`."""
+        _ = stamp
+        bands = partials.shape[0]
+        for band in range(first, last):
+            convolved_pass(
+                np.int64(band), bands, pose, source, target, tiles, kind, uniform, mutuality,
+                columns[band], partials[band], densities,
+            )  # fmt: skip
+
+    return convolution_sums
+
+
+convolution_sums = _build(source_stamp())

@@ -1,0 +1,264 @@
+"""Loops over pairs weighed by convolved Gaussians, N(d; 0, Σx + R Σy Rᵀ): the density of x - y at zero.
+
+The pairs are those of the few source points of a cluster with a run i..j, whole tiles, of the packed target. Each loop
+comes for full covariances, for those of the plane (z = 0) and for multiples of the identity. `moments` are what the
+M-step needs, `densities` is how dense each mixture is at the points of the other.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from adagmm_o3d.kernels.cpu.compiling import F0, F1, FLAGS, formulas
+from adagmm_o3d.kernels.cpu.culling import TILE
+from adagmm_o3d.kernels.cpu.exp2 import exp2_float32, exp2_parts
+from adagmm_o3d.kernels.layout import DENSITY, ENERGY, PRECISION, PULL, WEIGHT
+
+dot = formulas.dot
+adjugate, symmetric_product = formulas.adjugate, formulas.symmetric_product
+
+# The rows of a packed target: coordinates, share of the mixture, factor of the weight, matrix at σ (1 or 6 rows). Loops
+# over two indices become vector code because neither can count from the end: one is a constant, one unsigned.
+X, SHARE, FACTOR, MATRIX = 0, 3, 4, 5
+WHOLE = np.uint64(TILE)
+
+
+@njit(**FLAGS)
+def whole_tiles(i, j):
+    """How many points i..j are, said so that the compiler knows that no part of a vector is left over."""
+    return np.uint64(j - i) // WHOLE * WHOLE
+
+
+@njit(**FLAGS)
+def moments_full(target, i, j, count, y, turned, rows):
+    """Add to `rows` (layout.ROW_SUMS, points) the pairs of `count` source points `y` (3, points), their matrices
+    `turned` (points, 6)."""
+    first = np.uint64(i)
+    for k in range(count):
+        y0, y1, y2 = y[0, k], y[1, k], y[2, k]
+        b0, b1, b2, b3, b4, b5 = turned[k, 0], turned[k, 1], turned[k, 2], turned[k, 3], turned[k, 4], turned[k, 5]
+        w = F0
+        e = F0
+        density = F0
+        p0 = F0
+        p1 = F0
+        p2 = F0
+        p3 = F0
+        p4 = F0
+        p5 = F0
+        u0 = F0
+        u1 = F0
+        u2 = F0
+        for m in range(whole_tiles(i, j)):
+            n = first + m
+            dx = y0 - target[X, n]
+            dy = y1 - target[X + 1, n]
+            dz = y2 - target[X + 2, n]
+            s0 = target[MATRIX, n] + b0
+            s1 = target[MATRIX + 1, n] + b1
+            s2 = target[MATRIX + 2, n] + b2
+            c0, c1, c2, c3, c4, c5 = adjugate(
+                s0, s1, s2, target[MATRIX + 3, n] + b3, target[MATRIX + 4, n] + b4, target[MATRIX + 5, n] + b5
+            )
+            root = F1 / math.sqrt(dot(s0, s1, s2, c0, c1, c2))
+            inverse = root * root
+            vx, vy, vz = symmetric_product(c0, c1, c2, c3, c4, c5, dx, dy, dz)
+            q = dot(dx, dy, dz, vx, vy, vz) * inverse
+            fraction, whole = exp2_parts(-q)
+            factor = target[FACTOR, n]
+            g = fraction * (target[SHARE, n] * root * whole)
+            density += g
+            c = g * factor
+            f = g * (factor * inverse)
+            w += c
+            e += c * q
+            p0 += f * c0
+            p1 += f * c1
+            p2 += f * c2
+            p3 += f * c3
+            p4 += f * c4
+            p5 += f * c5
+            u0 += f * vx
+            u1 += f * vy
+            u2 += f * vz
+        rows[WEIGHT, k] += w
+        rows[ENERGY, k] += e
+        rows[PRECISION, k] += p0
+        rows[PRECISION + 1, k] += p1
+        rows[PRECISION + 2, k] += p2
+        rows[PRECISION + 3, k] += p3
+        rows[PRECISION + 4, k] += p4
+        rows[PRECISION + 5, k] += p5
+        rows[PULL, k] += u0
+        rows[PULL + 1, k] += u1
+        rows[PULL + 2, k] += u2
+        rows[DENSITY, k] += density
+
+
+@njit(**FLAGS)
+def moments_planar(target, i, j, count, y, turned, rows):
+    """The same in the plane."""
+    first = np.uint64(i)
+    for k in range(count):
+        y0, y1 = y[0, k], y[1, k]
+        b0, b1, b3 = turned[k, 0], turned[k, 1], turned[k, 3]
+        w = F0
+        e = F0
+        density = F0
+        p0 = F0
+        p1 = F0
+        p3 = F0
+        u0 = F0
+        u1 = F0
+        for m in range(whole_tiles(i, j)):
+            n = first + m
+            dx = y0 - target[X, n]
+            dy = y1 - target[X + 1, n]
+            s0 = target[MATRIX, n] + b0
+            s1 = target[MATRIX + 1, n] + b1
+            s3 = target[MATRIX + 3, n] + b3
+            root = F1 / math.sqrt(s0 * s3 - s1 * s1)
+            inverse = root * root
+            vx = s3 * dx - s1 * dy
+            vy = s0 * dy - s1 * dx
+            q = (dx * vx + dy * vy) * inverse
+            fraction, whole = exp2_parts(-q)
+            factor = target[FACTOR, n]
+            g = fraction * (target[SHARE, n] * root * whole)
+            density += g
+            c = g * factor
+            f = g * (factor * inverse)
+            w += c
+            e += c * q
+            p0 += f * s3
+            p1 -= f * s1
+            p3 += f * s0
+            u0 += f * vx
+            u1 += f * vy
+        rows[WEIGHT, k] += w
+        rows[ENERGY, k] += e
+        rows[PRECISION, k] += p0
+        rows[PRECISION + 1, k] += p1
+        rows[PRECISION + 3, k] += p3
+        rows[PULL, k] += u0
+        rows[PULL + 1, k] += u1
+        rows[DENSITY, k] += density
+
+
+@njit(**FLAGS)
+def moments_isotropic(target, i, j, planar, count, y, turned, rows):
+    """The same where every covariance is a multiple of the identity."""
+    first = np.uint64(i)
+    for k in range(count):
+        y0, y1, y2, b = y[0, k], y[1, k], y[2, k], turned[k, 0]
+        w = F0
+        e = F0
+        density = F0
+        p = F0
+        u0 = F0
+        u1 = F0
+        u2 = F0
+        for m in range(whole_tiles(i, j)):
+            n = first + m
+            dx = y0 - target[X, n]
+            dy = y1 - target[X + 1, n]
+            dz = y2 - target[X + 2, n]
+            root = F1 / math.sqrt(target[MATRIX, n] + b)
+            precision = root * root
+            q = precision * dot(dx, dy, dz, dx, dy, dz)
+            # |Σ|^(-1/2): the precision to the power D / 2.
+            fraction, whole = exp2_parts(-q)
+            factor = target[FACTOR, n]
+            g = fraction * (target[SHARE, n] * precision * (F1 if planar else root) * whole)
+            density += g
+            c = g * factor
+            f = g * (factor * precision)
+            w += c
+            e += c * q
+            p += f
+            u0 += f * dx
+            u1 += f * dy
+            u2 += f * dz
+        rows[WEIGHT, k] += w
+        rows[ENERGY, k] += e
+        rows[PRECISION, k] += p
+        rows[PRECISION + 3, k] += p
+        rows[PRECISION + 5, k] += p
+        rows[PULL, k] += u0
+        rows[PULL + 1, k] += u1
+        rows[PULL + 2, k] += u2
+        rows[DENSITY, k] += density
+
+
+@njit(**FLAGS)
+def densities_full(target, i, j, count, own, y, turned, columns, rows):
+    """Add the target's density at source points `y` of weights `own` to `rows`, and theirs at its points to `columns`
+    (as long as the target), each times the weight of the target point."""
+    first = np.uint64(i)
+    for k in range(count):
+        y0, y1, y2, weight = y[0, k], y[1, k], y[2, k], own[k]
+        b0, b1, b2, b3, b4, b5 = turned[k, 0], turned[k, 1], turned[k, 2], turned[k, 3], turned[k, 4], turned[k, 5]
+        density = F0
+        for m in range(whole_tiles(i, j)):
+            n = first + m
+            dx = y0 - target[X, n]
+            dy = y1 - target[X + 1, n]
+            dz = y2 - target[X + 2, n]
+            s0 = target[MATRIX, n] + b0
+            s1 = target[MATRIX + 1, n] + b1
+            s2 = target[MATRIX + 2, n] + b2
+            c0, c1, c2, c3, c4, c5 = adjugate(
+                s0, s1, s2, target[MATRIX + 3, n] + b3, target[MATRIX + 4, n] + b4, target[MATRIX + 5, n] + b5
+            )
+            root = F1 / math.sqrt(dot(s0, s1, s2, c0, c1, c2))
+            vx, vy, vz = symmetric_product(c0, c1, c2, c3, c4, c5, dx, dy, dz)
+            q = dot(dx, dy, dz, vx, vy, vz) * (root * root)
+            g = target[SHARE, n] * root * exp2_float32(-q)
+            density += g
+            columns[n] += weight * g
+        rows[DENSITY, k] += density
+
+
+@njit(**FLAGS)
+def densities_planar(target, i, j, count, own, y, turned, columns, rows):
+    """The same in the plane."""
+    first = np.uint64(i)
+    for k in range(count):
+        y0, y1, weight = y[0, k], y[1, k], own[k]
+        b0, b1, b3 = turned[k, 0], turned[k, 1], turned[k, 3]
+        density = F0
+        for m in range(whole_tiles(i, j)):
+            n = first + m
+            dx = y0 - target[X, n]
+            dy = y1 - target[X + 1, n]
+            s0 = target[MATRIX, n] + b0
+            s1 = target[MATRIX + 1, n] + b1
+            s3 = target[MATRIX + 3, n] + b3
+            root = F1 / math.sqrt(s0 * s3 - s1 * s1)
+            q = (dx * (s3 * dx - s1 * dy) + dy * (s0 * dy - s1 * dx)) * (root * root)
+            g = target[SHARE, n] * root * exp2_float32(-q)
+            density += g
+            columns[n] += weight * g
+        rows[DENSITY, k] += density
+
+
+@njit(**FLAGS)
+def densities_isotropic(target, i, j, planar, count, own, y, turned, columns, rows):
+    """The same where every covariance is a multiple of the identity."""
+    first = np.uint64(i)
+    for k in range(count):
+        y0, y1, y2, b, weight = y[0, k], y[1, k], y[2, k], turned[k, 0], own[k]
+        density = F0
+        for m in range(whole_tiles(i, j)):
+            n = first + m
+            dx = y0 - target[X, n]
+            dy = y1 - target[X + 1, n]
+            dz = y2 - target[X + 2, n]
+            root = F1 / math.sqrt(target[MATRIX, n] + b)
+            precision = root * root
+            q = precision * dot(dx, dy, dz, dx, dy, dz)
+            g = target[SHARE, n] * precision * (F1 if planar else root) * exp2_float32(-q)
+            density += g
+            columns[n] += weight * g
+        rows[DENSITY, k] += density

@@ -1,0 +1,129 @@
+"""The score of each point: the pull of all its pairs on the pose, and how that changes with the pose.
+
+What the pose covariance is made of. Pairs are those of `convolution_sums`, in float64, and only those of chosen points
+of one cloud with all of the other, so that memory stays that of the points.
+"""
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+from adagmm_o3d.kernels.cpu.compiling import FLAGS, KERNEL_FLAGS, formulas, source_stamp
+from adagmm_o3d.kernels.layout import CURVATURE, SCORE, SENSITIVITY
+
+dot, cross, symmetric_product = formulas.dot, formulas.cross, formulas.symmetric_product
+adjugate = formulas.adjugate
+
+
+@njit(**FLAGS)
+def add_pair(y, x, a, b, planar, cut, weight, share, curved, inverse, slope, j, change, row):
+    """Add one pair to `row` (POINT_SUMS); `a`, `b` packed covariances, the rest work space.
+
+    weight : of the pair, per unit of c.   share : of the other point in the density at this one.   curved : whether
+    CURVATURE is wanted, which is the same sum for both clouds.
+    """
+    dx, dy, dz = y[0] - x[0], y[1] - x[1], y[2] - x[2]
+    s0, s1, s2, s3, s4 = a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4]
+    s5 = 1.0 if planar else a[5] + b[5]
+    c0, c1, c2, c3, c4, c5 = adjugate(s0, s1, s2, s3, s4, s5)
+    scale = 1.0 / dot(s0, s1, s2, c0, c1, c2)
+    c0, c1, c2, c3, c4, c5 = c0 * scale, c1 * scale, c2 * scale, c3 * scale, c4 * scale, c5 * scale
+    vx, vy, vz = symmetric_product(c0, c1, c2, c3, c4, c5, dx, dy, dz)
+    q = dot(dx, dy, dz, vx, vy, vz)
+    if q > cut:
+        return
+    density = math.sqrt(scale) * math.exp(-0.5 * q)
+    w = weight * density
+    j[0], j[1], j[2] = cross(y[0], y[1], y[2], vx, vy, vz)
+    j[3], j[4], j[5] = vx, vy, vz
+    # S turns with the source: ∂S/∂ω_k = [e_k]ₓ B + B [e_k]ₓᵀ. With pull = B v, -∂(log c)/∂δ = j + (turn, 0).
+    px, py, pz = symmetric_product(b[0], b[1], b[2], b[3], b[4], b[5], vx, vy, vz)
+    tx, ty, tz = cross(px, py, pz, vx, vy, vz)
+    # B S⁻¹, column by column
+    _, f10, f20 = symmetric_product(b[0], b[1], b[2], b[3], b[4], b[5], c0, c1, c2)
+    f01, _, f21 = symmetric_product(b[0], b[1], b[2], b[3], b[4], b[5], c1, c3, c4)
+    f02, f12, _ = symmetric_product(b[0], b[1], b[2], b[3], b[4], b[5], c2, c4, c5)
+    change[0] = j[0] + f12 - f21 - tx
+    change[1] = j[1] + f20 - f02 - ty
+    change[2] = j[2] + f01 - f10 - tz
+    change[3], change[4], change[5] = vx, vy, vz
+    for k in range(6):
+        row[SCORE + k] += w * j[k]
+        row[SENSITIVITY + k] += share * density * change[k]
+    if not curved:
+        return
+    inverse[0, 0], inverse[0, 1], inverse[0, 2] = c0, c1, c2
+    inverse[1, 0], inverse[1, 1], inverse[1, 2] = c1, c3, c4
+    inverse[2, 0], inverse[2, 1], inverse[2, 2] = c2, c4, c5
+    # slope = S ∂(S⁻¹ d)/∂δ: for the shift the identity, for the turn -[y - B v]ₓ - B [v]ₓ, column by column.
+    gx, gy, gz = px - y[0], py - y[1], pz - y[2]
+    bx, by, bz = symmetric_product(b[0], b[1], b[2], b[3], b[4], b[5], 0.0, vz, -vy)
+    slope[0, 0], slope[1, 0], slope[2, 0] = -bx, gz - by, -gy - bz
+    bx, by, bz = symmetric_product(b[0], b[1], b[2], b[3], b[4], b[5], -vz, 0.0, vx)
+    slope[0, 1], slope[1, 1], slope[2, 1] = -gz - bx, -by, gx - bz
+    bx, by, bz = symmetric_product(b[0], b[1], b[2], b[3], b[4], b[5], vy, -vx, 0.0)
+    slope[0, 2], slope[1, 2], slope[2, 2] = gy - bx, -gx - by, -bz
+    along = dot(y[0], y[1], y[2], vx, vy, vz)
+    for k in range(6):
+        if k < 3:
+            h0 = inverse[0, 0] * slope[0, k] + inverse[0, 1] * slope[1, k] + inverse[0, 2] * slope[2, k]
+            h1 = inverse[1, 0] * slope[0, k] + inverse[1, 1] * slope[1, k] + inverse[1, 2] * slope[2, k]
+            h2 = inverse[2, 0] * slope[0, k] + inverse[2, 1] * slope[1, k] + inverse[2, 2] * slope[2, k]
+        else:
+            h0, h1, h2 = inverse[0, k - 3], inverse[1, k - 3], inverse[2, k - 3]
+        r0, r1, r2 = cross(y[0], y[1], y[2], h0, h1, h2)
+        if k < 3:
+            # the lever arm turns too: (ω x y) x v = y (ω·v) - ω (y·v)
+            r0, r1, r2 = r0 + y[0] * j[3 + k], r1 + y[1] * j[3 + k], r2 + y[2] * j[3 + k]
+        for i in range(6):
+            h = r0 if i == 0 else r1 if i == 1 else r2 if i == 2 else h0 if i == 3 else h1 if i == 4 else h2
+            if i == k and k < 3:
+                h -= along
+            row[CURVATURE + 6 * i + k] += w * (h - j[i] * change[k])
+
+
+def _build(stamp):
+    """The kernel that is called from Python; `stamp` keeps its cache fresh."""
+
+    @njit(**KERNEL_FLAGS)
+    def score_sums(own, other, shares, windows, own_is_source, planar, cut, sums):
+        """Fill `sums` (K, POINT_SUMS) for the K points of `own` with all points of `other`; for target points only the
+        scores and sensitivities.
+
+        own, other : (points (n, 3), packed covariances (n, 6), largest variances (n,), weights (n,)); a pair weighs the
+        product of both weights and of c. Source points are moved, their covariances turned.
+        shares : (n,) what a point of `other` adds to a density, per unit of c.
+        windows : (2, K) the first point of `other` to look at and the one past the last.
+        cut : largest squared Mahalanobis distance of a pair.
+        """
+        _ = stamp
+        points, covariances, variances, weights = own
+        others, other_covariances, other_variances, other_weights = other
+        for i in prange(points.shape[0]):
+            row = sums[i]
+            row[:] = 0.0
+            inverse, slope = np.empty((3, 3)), np.empty((3, 3))
+            j, change = np.empty(6), np.empty(6)
+            p = points[i]
+            for k in range(windows[0, i], windows[1, i]):
+                x = others[k]
+                dx, dy, dz = p[0] - x[0], p[1] - x[1], p[2] - x[2]
+                if dot(dx, dy, dz, dx, dy, dz) > cut * (variances[i] + other_variances[k]):
+                    continue
+                weight = weights[i] * other_weights[k]
+                if own_is_source:
+                    add_pair(
+                        p, x, other_covariances[k], covariances[i],
+                        planar, cut, weight, shares[k], True, inverse, slope, j, change, row,
+                    )  # fmt: skip
+                else:
+                    add_pair(
+                        x, p, covariances[i], other_covariances[k],
+                        planar, cut, weight, shares[k], False, inverse, slope, j, change, row,
+                    )  # fmt: skip
+
+    return score_sums
+
+
+score_sums = _build(source_stamp())

@@ -1,0 +1,116 @@
+"""The formulas of the pair loop, written once and compiled for every device.
+
+`build(jit)` compiles them with the decorator of one device: `numba.njit` on the CPU, `cuda.jit(device=True)` on a GPU.
+They hold no float literal, so the arithmetic has the type of the arguments. Symmetric 3x3 matrices are packed as
+(xx, xy, xz, yy, yz, zz). 2D is the plane z = 0: the entries with a z are zero and so are all sums over them.
+"""
+
+import math
+from types import SimpleNamespace
+
+# exp(-q/2) = 2**-(LOG2_SCALE q): the kernels know only powers of two.
+LOG2_SCALE = 0.5 / math.log(2.0)
+
+
+def build(jit):
+    """The formulas, compiled by `jit`, as a namespace."""
+
+    @jit
+    def symmetric_product(p0, p1, p2, p3, p4, p5, x, y, z):
+        """P · (x, y, z) for a packed symmetric P."""
+        return p0 * x + p1 * y + p2 * z, p1 * x + p3 * y + p4 * z, p2 * x + p4 * y + p5 * z
+
+    @jit
+    def dot(ax, ay, az, bx, by, bz):
+        return ax * bx + ay * by + az * bz
+
+    @jit
+    def cross(ax, ay, az, bx, by, bz):
+        return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+
+    @jit
+    def rotate_point(r, x, y, z):
+        """R · (x, y, z) + t for `r` = (12,), the rows of [R | t]."""
+        return (
+            r[0] * x + r[1] * y + r[2] * z + r[3],
+            r[4] * x + r[5] * y + r[6] * z + r[7],
+            r[8] * x + r[9] * y + r[10] * z + r[11],
+        )
+
+    @jit
+    def rotate_symmetric(r, p0, p1, p2, p3, p4, p5):
+        """R · P · Rᵀ for a packed symmetric P."""
+        a0, a1, a2 = symmetric_product(p0, p1, p2, p3, p4, p5, r[0], r[1], r[2])
+        b0, b1, b2 = symmetric_product(p0, p1, p2, p3, p4, p5, r[4], r[5], r[6])
+        c0, c1, c2 = symmetric_product(p0, p1, p2, p3, p4, p5, r[8], r[9], r[10])
+        return (
+            dot(r[0], r[1], r[2], a0, a1, a2),
+            dot(r[0], r[1], r[2], b0, b1, b2),
+            dot(r[0], r[1], r[2], c0, c1, c2),
+            dot(r[4], r[5], r[6], b0, b1, b2),
+            dot(r[4], r[5], r[6], c0, c1, c2),
+            dot(r[8], r[9], r[10], c0, c1, c2),
+        )
+
+    @jit
+    def adjugate(p0, p1, p2, p3, p4, p5):
+        """The packed adjugate of a packed symmetric P; divided by |P| it is the inverse, its first row · P's is |P|."""
+        return (
+            p3 * p5 - p4 * p4,
+            p2 * p4 - p1 * p5,
+            p1 * p4 - p2 * p3,
+            p0 * p5 - p2 * p2,
+            p1 * p2 - p0 * p4,
+            p0 * p3 - p1 * p1,
+        )
+
+    @jit
+    def normal_equations(y0, y1, y2, p0, p1, p2, p3, p4, p5, u0, u1, u2, t0, t1, t2):
+        """What a point y with precision P, pull u and turn t adds to the 6x6 system of a left perturbation (ω, v).
+
+        The upper triangle of [y]ₓ P [y]ₓᵀ, [y]ₓ P and P, row by row, then the gradient: layout.HESSIAN to TOTAL_WEIGHT.
+        """
+        # [y]x P; the columns of P are (p0 p1 p2), (p1 p3 p4), (p2 p4 p5).
+        k00, k10, k20 = cross(y0, y1, y2, p0, p1, p2)
+        k01, k11, k21 = cross(y0, y1, y2, p1, p3, p4)
+        k02, k12, k22 = cross(y0, y1, y2, p2, p4, p5)
+        g0, g1, g2 = cross(y0, y1, y2, u0, u1, u2)
+        return (
+            k02 * y1 - k01 * y2,
+            k00 * y2 - k02 * y0,
+            k01 * y0 - k00 * y1,
+            k00,
+            k01,
+            k02,
+            k10 * y2 - k12 * y0,
+            k11 * y0 - k10 * y1,
+            k10,
+            k11,
+            k12,
+            k21 * y0 - k20 * y1,
+            k20,
+            k21,
+            k22,
+            p0,
+            p1,
+            p2,
+            p3,
+            p4,
+            p5,
+            g0 - t0,
+            g1 - t1,
+            g2 - t2,
+            u0,
+            u1,
+            u2,
+        )
+
+    return SimpleNamespace(
+        adjugate=adjugate,
+        normal_equations=normal_equations,
+        symmetric_product=symmetric_product,
+        dot=dot,
+        cross=cross,
+        rotate_point=rotate_point,
+        rotate_symmetric=rotate_symmetric,
+    )

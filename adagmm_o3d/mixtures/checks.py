@@ -1,0 +1,106 @@
+"""What is wrong with a cloud, said in one line; the same for clouds on the host and on a GPU."""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adagmm_o3d.arguments import Array
+from adagmm_o3d.errors import DegenerateError, InputError
+
+MIN_POINTS = 3
+# A sensor model may fail at a point now and then (the Kinect data has one in thousands); more is a mistake upstream.
+MAX_NONFINITE_SHARE = 0.01
+# Squares of coordinates [input units] must neither overflow nor vanish.
+LARGEST_COORDINATE, SMALLEST_EXTENT = 1e140, 1e-140
+# The spread of so few points is measured exactly, see `check_spread`.
+FEW_POINTS = 50
+
+
+def check_not_empty(name: str, count: int) -> None:
+    """Raise if there is no point at all."""
+    if count == 0:
+        raise InputError(f"{name}.points: the cloud is empty; registration needs at least {MIN_POINTS} points")
+
+
+def refuse_points(name: str, bad: NDArray[np.integer], count: int) -> NoReturn:
+    """Raise for the `bad` among so many points, which are not finite."""
+    raise InputError(
+        f"{name}.points: {len(bad)} of {count} points are not finite, the first at index {bad[0]}; "
+        "remove them first, e.g. with PointCloud.remove_non_finite_points()"
+    )
+
+
+def check_usable(name: str, usable: NDArray[np.bool_]) -> None:
+    """Raise if too many covariances are not finite."""
+    dropped = int(len(usable) - usable.sum())
+    if dropped > MAX_NONFINITE_SHARE * len(usable):
+        first = int(np.flatnonzero(~usable)[0])
+        raise InputError(
+            f"{name}.covariances: {dropped} of {len(usable)} are not finite, the first at index {first}; "
+            f"at most {MAX_NONFINITE_SHARE:.0%} may be (those points are ignored)"
+        )
+
+
+def refuse_asymmetric(name: str, bad: NDArray[np.integer]) -> NoReturn:
+    """Raise for covariances that are not symmetric."""
+    raise InputError(f"{name}.covariances: not symmetric at index {bad[0]} ({len(bad)} in all)")
+
+
+def refuse_indefinite(name: str, bad: NDArray[np.integer]) -> NoReturn:
+    """Raise for covariances that are not positive definite."""
+    raise InputError(
+        f"{name}.covariances: not positive definite at index {bad[0]} ({len(bad)} in all); "
+        "add a small multiple of the identity"
+    )
+
+
+def check_count(name: str, count: int) -> None:
+    """Raise if too few points are left."""
+    if count < MIN_POINTS:
+        raise DegenerateError(f"{name}.points: {count} points cannot fix a pose; at least {MIN_POINTS} are needed")
+
+
+def check_spread(name: str, p: Array) -> None:
+    """Points in one place leave the rotation free; in 3D so do points on one line."""
+    largest = float(np.abs(p).max())
+    check_largest(name, largest)
+    centred = p - p[0]
+    centred -= centred.sum(axis=0) / len(p)
+    extent = float(np.abs(centred).max())
+    check_extent(name, extent)
+    centred /= max(extent, SMALLEST_EXTENT)
+    # Squared singular values would lose a thin direction beside rounding, but are much cheaper for many points.
+    spread = np.linalg.svd(centred, compute_uv=False) if len(p) < FEW_POINTS else spread_of(centred.T @ centred)
+    check_rank(name, spread, len(p), largest / max(extent, SMALLEST_EXTENT))
+
+
+def check_largest(name: str, largest: float) -> None:
+    """Raise if the squares of the largest coordinate [input units] overflow."""
+    if largest > LARGEST_COORDINATE:
+        raise InputError(f"{name}.points: expected coordinates up to {LARGEST_COORDINATE:g}, got {largest:g}; rescale")
+
+
+def check_extent(name: str, extent: float) -> None:
+    """Raise if the squares of the largest distance from the mean along an axis [input units] vanish."""
+    if 0.0 < extent < SMALLEST_EXTENT:
+        raise InputError(f"{name}.points: expected an extent of {SMALLEST_EXTENT:g} or more, got {extent:g}; rescale")
+
+
+def spread_of(scatter: Array) -> Array:
+    """(D,) descending singular values of the offsets whose products add up to `scatter` (D, D)."""
+    return np.sqrt(np.maximum(np.linalg.eigvalsh(scatter)[::-1], 0.0))
+
+
+def check_rank(name: str, spread: Array, count: int, distance: float) -> None:
+    """Raise unless the singular values of so many offsets stand out of rounding, `distance` extents from the origin."""
+    rounding = 4.0 * sys.float_info.epsilon * math.sqrt(count) * distance
+    limit = max(1e-7 * spread[0], rounding)
+    rank = sum(extent > limit for extent in spread.tolist())
+    if rank < len(spread) - 1:
+        shape = "in one place" if rank == 0 else "on one line"
+        raise DegenerateError(f"{name}.points: all {count} points are {shape}; a pose cannot be found")

@@ -1,0 +1,144 @@
+"""Coarse mixtures: many components merged into few, so that many starts can be tried for the price of one iteration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adagmm_o3d.arguments import Array
+from adagmm_o3d.kernels.cpu.convolved_pass import pack
+from adagmm_o3d.kernels.cpu.convolved_rows import MATRIX
+from adagmm_o3d.kernels.cpu.farthest_points import farthest_points
+from adagmm_o3d.kernels.cpu.tiles import make_boxes, maxima, morton_order
+from adagmm_o3d.kernels.formulas import LOG2_SCALE
+from adagmm_o3d.mixtures.grouping import Groups
+from adagmm_o3d.mixtures.mixture import Mixture, packed
+from adagmm_o3d.mixtures.sampling import some_of
+
+# A cloud is thinned to this many points before it is merged; more say nothing about so few components.
+MERGE_FROM = 4096
+# A variance this many times that of a good point weighs nothing beside it: a pair's weight falls with its square root
+# to the power of the dimension.
+FLAGGED = 1e4
+# Pairs are left out where their weight is below 2**-COARSE_BITS of what it would be without a distance between them: a
+# coarse mixture says nothing so exactly.
+COARSE_BITS = 12.0
+
+
+@dataclass(frozen=True)
+class MergedMixture:
+    """Components of which each stands for many: its covariance at scale σ is σ · covariances + spreads.
+
+    points (n, 3), covariances (n, 3, 3), spreads (n, 3, 3) the scatter of the points merged, weights (n,) summing to 1,
+    largest_variances (n,) no less than the largest eigenvalue of each covariance.
+    """
+
+    points: Array
+    covariances: Array
+    spreads: Array
+    weights: Array
+    largest_variances: Array
+    dimension: int
+    isotropic: bool = False
+
+    def as_source(self, isotropic: bool) -> tuple[Any, ...]:
+        """The components as `kernels.cpu.em` wants a source; `isotropic` says whether those of both sides are."""
+        points, matrices, spreads, *rest = self._source
+        rows = 1 if isotropic else 6
+        return points, matrices[:rows], spreads[:rows], *rest
+
+    def as_target(self, isotropic: bool) -> tuple[Any, ...]:
+        """The components as `kernels.cpu.em` wants a target; `isotropic` says whether those of both sides are."""
+        packed, matrices, spreads, *rest = self._target
+        rows = 1 if isotropic else 6
+        return np.ascontiguousarray(packed[: MATRIX + rows]), matrices[:rows], spreads[:rows], *rest
+
+    @cached_property
+    def _source(self) -> tuple[Any, ...]:
+        order, points, matrices, spreads, reach = self._ordered
+        weights = self.weights[order]
+        return points, matrices, spreads, weights, weights.astype(np.float32), reach[:1], reach[1:]
+
+    @cached_property
+    def _target(self) -> tuple[Any, ...]:
+        order, points, matrices, spreads, reach = self._ordered
+        boxes = make_boxes(points)
+        of_tiles, of_groups = maxima(reach)
+        return (
+            pack(points, self.weights[order], len(matrices)),
+            matrices,
+            spreads,
+            reach[:1],
+            reach[1:],
+            of_tiles[1:],
+            of_groups[1:],
+            boxes.lo,
+            boxes.hi,
+            of_tiles[:1],
+            boxes.group_lo,
+            boxes.group_hi,
+            of_groups[:1],
+        )
+
+    @cached_property
+    def _ordered(self) -> tuple[Any, ...]:
+        """The components' order in space; in it, points (3, n), packed covariances and spreads (6, n), largest
+        variances and bounds on those of the spreads (2, n); in powers of two."""
+        order = morton_order(self.points)
+        points = self.points.astype(np.float32).T.take(order, axis=1)
+        covariances, spreads = packed(self.covariances, self.dimension), packed(self.spreads, self.dimension)
+        reach = np.stack([self.largest_variances, spreads[0] + spreads[3] + spreads[5]])
+        in_powers = ((values / LOG2_SCALE).astype(np.float32) for values in (covariances, spreads, reach))
+        return order, points, *(values.take(order, axis=1) for values in in_powers)
+
+
+def merge(mixture: Mixture, count: int) -> MergedMixture:
+    """At most `count` components with the moments of those they stand for; vague ones are left out."""
+    part = mixture.take(_certain(mixture, MERGE_FROM))
+    if len(part) <= count:
+        return _as_it_is(part)
+    points, weights = part.points, part.weights
+    label = np.empty(len(points), np.int64)
+    farthest_points(np.ascontiguousarray(points.T), count, label)
+    groups = Groups(label, weights)
+    means = groups.means(points)
+    offsets = points - groups.each(means)
+    spreads = groups.means(offsets[:, :, None] * offsets[:, None, :])
+    shares = groups.total / groups.total.sum()
+    covariances, largest = groups.means(part.covariances), groups.means(part.largest_variances)
+    return MergedMixture(means, covariances, spreads, shares, largest, mixture.dimension)
+
+
+def sample(mixture: Mixture, count: int) -> MergedMixture:
+    """At most `count` of the mixture's own components, chosen at random with a fixed seed; vague ones are left out."""
+    return _as_it_is(mixture.take(_certain(mixture, count)))
+
+
+def _as_it_is(mixture: Mixture) -> MergedMixture:
+    """Each component standing for itself."""
+    return MergedMixture(
+        mixture.points,
+        mixture.covariances,
+        np.zeros_like(mixture.covariances),
+        mixture.weights / mixture.weights.sum(),
+        mixture.largest_variances,
+        mixture.dimension,
+        mixture.isotropic,
+    )
+
+
+def count_certain(mixture: Mixture) -> int:
+    """How many components are not flagged as outliers; all where every one is, as `_certain` has it."""
+    return int((mixture.variances <= FLAGGED).sum()) or len(mixture)
+
+
+def _certain(mixture: Mixture, count: int) -> NDArray[np.intp]:
+    """At most `count` indices of components that are not flagged as outliers; of all where every one is."""
+    keep = np.flatnonzero(mixture.variances <= FLAGGED)
+    if len(keep) == 0:
+        keep = np.arange(len(mixture))
+    return some_of(keep, count)

@@ -1,0 +1,243 @@
+"""A point cloud as a Gaussian mixture: one component per point, checked at the door."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NoReturn
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adagmm_o3d.arguments import Array, float_array
+from adagmm_o3d.errors import InputError
+from adagmm_o3d.kernels.limits import LEAST_POSITIVE, SKEW, THINNEST
+from adagmm_o3d.mixtures.checks import (
+    check_count,
+    check_not_empty,
+    check_spread,
+    check_usable,
+    refuse_asymmetric,
+    refuse_indefinite,
+    refuse_points,
+)
+
+# Where xx, xy, xz, yy, yz and zz stand in a matrix read row by row.
+PACKED = np.array([0, 1, 2, 4, 5, 8])
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """Points, covariances and weights of one cloud, float64; 2D lies in the plane z = 0.
+
+    points : (n, 3).   covariances : (n, 3, 3), positive definite (in 2D the block xx, xy, yy; zz is 1).
+    weights : (n,) > 0.   dimension : 2 or 3.   isotropic : every covariance is a multiple of the identity.
+    kept : (size of the input,) bool, False where a point had a non-finite covariance and is not in the mixture.
+    """
+
+    points: Array
+    covariances: Array
+    weights: Array
+    dimension: int
+    isotropic: bool
+    kept: NDArray[np.bool_]
+
+    @property
+    def on_device(self) -> bool:
+        """Whether the points lie on a GPU."""
+        return False
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def take(self, index: NDArray[np.integer] | NDArray[np.bool_]) -> Mixture:
+        """The mixture of the chosen components."""
+        taken = Mixture(
+            self.points[index],
+            self.covariances[index],
+            self.weights[index],
+            self.dimension,
+            self.isotropic,
+            self.kept,
+        )
+        known = {
+            name: self.__dict__[name][index] for name in ("variances", "largest_variances") if name in self.__dict__
+        }
+        return taken.knowing(**known)
+
+    def knowing(self, **known: Array) -> Mixture:
+        """Itself, with `variances` and `largest_variances` that need not be found any more."""
+        self.__dict__.update(known)
+        return self
+
+    def points_at(self, index: NDArray[np.integer]) -> Array:
+        """(k, 3) the chosen points."""
+        return self.points[index]
+
+    @property
+    def dropped(self) -> int:
+        """How many input points are not in the mixture."""
+        return int(len(self.kept) - self.kept.sum())
+
+    @cached_property
+    def variances(self) -> Array:
+        """(n,) geometric mean of the principal variances, |Σ|^(1/D): one number for how vague a point is."""
+        if self.isotropic:
+            return self.covariances[:, 0, 0].copy()
+        return np.exp(np.linalg.slogdet(self.covariances).logabsdet / self.dimension)
+
+    def packed_covariances(self) -> Array:
+        """(6, n) covariances, packed as xx, xy, xz, yy, yz, zz; in 2D what has a z is zero."""
+        return packed(self.covariances, self.dimension)
+
+    def packed_precisions(self) -> Array:
+        """(6, n) inverse covariances, packed as xx, xy, xz, yy, yz, zz; in 2D what has a z is zero."""
+        return packed(np.asarray(np.linalg.inv(self.covariances), np.float64), self.dimension)
+
+    @cached_property
+    def largest_variances(self) -> Array:
+        """(n,) the largest eigenvalue of each covariance: how far the point reaches."""
+        if self.isotropic:
+            return self.covariances[:, 0, 0].copy()
+        return _principal_variances(self.covariances[:, : self.dimension, : self.dimension])[:, -1]
+
+    def centroid(self, weights: Array) -> Array:
+        """(3,) mean of the points with (n,) weights."""
+        return np.asarray((self.points * weights[:, None]).sum(axis=0) / weights.sum(), np.float64)
+
+    def radius(self, centre: Array, weights: Array) -> float:
+        """Root mean square distance of the points from `centre`, with (n,) weights."""
+        squares = ((self.points - centre) ** 2).sum(axis=1)
+        return math.sqrt((squares * weights).sum() / weights.sum())
+
+    def normalised(self, centre: Array, scale: float, unit: float, relative: Array) -> Mixture:
+        """Points from `centre` in units of `scale`, covariances in units of `unit`, with `relative` (n,) for the
+        geometric mean of their variances."""
+        factor = relative / (self.variances / unit)
+        covariances = (self.covariances / unit) * factor[:, None, None]
+        if self.dimension == 2:
+            covariances[:, 2, 2] = 1.0
+        points = (self.points - centre) / scale
+        mixture = Mixture(points, covariances, self.weights, self.dimension, self.isotropic, self.kept)
+        return mixture.knowing(variances=relative, largest_variances=self.largest_variances / unit * factor)
+
+
+def packed(matrices: Array, dimension: int) -> Array:
+    """(6, n) of (n, 3, 3) symmetric matrices, as xx, xy, xz, yy, yz, zz; in 2D zz is zero."""
+    entries = matrices.reshape(-1, 9).T.take(PACKED, axis=0)
+    if dimension == 2:
+        entries[5] = 0.0
+    return entries
+
+
+def make_mixture(
+    name: str, points: ArrayLike, covariances: ArrayLike | None, weights: ArrayLike | None = None
+) -> Mixture:
+    """Check one cloud and lift it into three dimensions.
+
+    Parameters
+    ----------
+    name : "source" or "target"; begins every error message.
+    points : (n, D), D = 2 or 3, any real dtype.   covariances : (n, D, D), or None for the identity at every point; one
+    with a variance below THINNEST times its largest is thickened to that.   weights : (n,) positive, or None for ones.
+
+    Raises
+    ------
+    InputTypeError : not real numbers.   InputError : shape, non-finite points, covariances that are not symmetric
+    positive definite, or non-finite at more than 1 % of the points (fewer are dropped and counted).
+    DegenerateError : fewer than 3 points, or all on one line (3D) or in one place (2D).
+    """
+    p = float_array(f"{name}.points", points, ("n", (2, 3)), finite=False)
+    n, dimension = p.shape
+    check_not_empty(name, n)
+    if not np.isfinite(p).all():
+        refuse_points(name, np.flatnonzero(~np.isfinite(p).all(axis=1)), n)
+    c = _check_covariances(name, covariances, n, dimension)
+    w = _check_weights(name, weights, n)
+    finite, usable = np.isfinite(c), np.full(n, True)
+    if not finite.all():
+        usable = np.asarray(finite.all(axis=(1, 2)))
+        check_usable(name, usable)
+        p, c, w = p[usable], c[usable], w[usable]
+    c, eigenvalues = _check_positive_definite(name, c, usable)
+    check_count(name, len(p))
+    check_spread(name, p)
+    if dimension == 2:
+        p, c = _lift(p, c)
+    mixture = Mixture(p, c, w, dimension, eigenvalues is None, usable)
+    if eigenvalues is not None:
+        variances = (eigenvalues ** (1.0 / dimension)).prod(axis=1)
+        mixture.knowing(variances=variances, largest_variances=eigenvalues[:, -1].copy())
+    return mixture
+
+
+def _check_covariances(name: str, covariances: ArrayLike | None, n: int, dimension: int) -> Array:
+    if covariances is None:
+        return np.tile(np.eye(dimension), (n, 1, 1))
+    return float_array(f"{name}.covariances", covariances, (n, dimension, dimension), finite=False)
+
+
+def _check_weights(name: str, weights: ArrayLike | None, n: int) -> Array:
+    if weights is None:
+        return np.ones(n)
+    w = float_array(f"{name}.weights", weights, (n,)).copy()
+    if not (w > 0).all():
+        first = int(np.flatnonzero(w <= 0)[0])
+        raise InputError(f"{name}.weights: expected numbers above zero, got {w[first]:g} at index {first}")
+    return w
+
+
+def _check_positive_definite(name: str, c: Array, usable: NDArray[np.bool_]) -> tuple[Array, Array | None]:
+    """Raise unless every covariance is symmetric positive definite; thin ones come back thickened.
+
+    The covariances and their (n, D) eigenvalues, ascending, or None where all are isotropic.
+    """
+    if (c == c[:, :1, :1] * np.eye(c.shape[1])).all():
+        _refuse(refuse_indefinite, name, c[:, 0, 0] <= 0.0, usable)
+        return c, None
+    mirrored = c.transpose(0, 2, 1)
+    if not (c == mirrored).all():
+        skew = np.abs(c - mirrored).max(axis=(1, 2))
+        _refuse(refuse_asymmetric, name, skew > SKEW * np.abs(c).max(axis=(1, 2)), usable)
+        c = 0.5 * c + 0.5 * mirrored
+    eigenvalues = _principal_variances(c)
+    least, largest = eigenvalues[:, 0], eigenvalues[:, -1]
+    thin = least <= THINNEST * largest
+    if thin.any():
+        _refuse(refuse_indefinite, name, least <= LEAST_POSITIVE * largest, usable)
+        c = c.copy()
+        c[thin], eigenvalues[thin] = _thickened(c[thin])
+    return c, eigenvalues
+
+
+def _refuse(refuse: Callable[..., NoReturn], name: str, bad: NDArray[np.bool_], usable: NDArray[np.bool_]) -> None:
+    """Refuse covariances if any is bad, by its place in the input."""
+    if bad.any():
+        refuse(name, np.flatnonzero(usable)[bad])
+
+
+def _principal_variances(c: Array) -> Array:
+    """(n, D) ascending eigenvalues of (n, D, D) covariances."""
+    if c.shape[1] == 3:
+        return np.asarray(np.linalg.eigvalsh(c), np.float64)
+    xx, xy, yy = c[:, 0, 0], c[:, 0, 1], c[:, 1, 1]
+    mean, deviation = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    eigenvalues = np.empty((len(c), 2))
+    eigenvalues[:, 0], eigenvalues[:, 1] = mean - deviation, mean + deviation
+    return eigenvalues
+
+
+def _thickened(c: Array) -> tuple[Array, Array]:
+    """Covariances with no principal variance below THINNEST times the largest, and their eigenvalues."""
+    variances, axes = np.linalg.eigh(c)
+    variances = np.maximum(variances, THINNEST * variances[:, -1:])
+    return (axes * variances[:, None, :]) @ axes.transpose(0, 2, 1), variances
+
+
+def _lift(p: Array, c: Array) -> tuple[Array, Array]:
+    points, covariances = np.zeros((len(p), 3)), np.zeros((len(p), 3, 3))
+    points[:, :2], covariances[:, :2, :2] = p, c
+    covariances[:, 2, 2] = 1.0
+    return points, covariances

@@ -1,0 +1,253 @@
+"""Two mixtures laid out for the kernels, and one pass over all their pairs; the loop on top sees only this."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from adagmm_o3d.arguments import Array
+from adagmm_o3d.kernels.cpu.adaptive_rows import adaptive_sums
+from adagmm_o3d.kernels.cpu.convolved_pass import convolution_sums, pack
+from adagmm_o3d.kernels.cpu.convolved_rows import FACTOR, MATRIX
+from adagmm_o3d.kernels.cpu.culling import CHUNK, CLUSTER
+from adagmm_o3d.kernels.cpu.nearest import nearest_sq
+from adagmm_o3d.kernels.cpu.ranges import run_in_ranges
+from adagmm_o3d.kernels.cpu.tiles import Tiles, make_tiles, morton_order
+from adagmm_o3d.kernels.formulas import LOG2_SCALE
+from adagmm_o3d.kernels.layout import GRADIENT, HESSIAN, TOTAL_ENERGY, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
+from adagmm_o3d.mixtures.mixture import Mixture
+from adagmm_o3d.pairs.protocol import PairSums, PosteriorSums
+
+Float32 = NDArray[np.float32]
+
+# Pairs whose weight is below 2**-CUT_BITS of the largest possible one may be left out, whole tiles at a time.
+CUT_BITS = 24.0
+# With fewer pairs than this for each thread, waking it costs more than it brings.
+PAIRS_PER_THREAD = 200_000
+# The column sums are kept apart for this many parts of the source, whatever the number of threads, and added in order.
+BANDS = 16
+UPPER = np.triu_indices(6)
+
+
+def amplitudes_and_bits(mixture: Mixture) -> tuple[Array, Array]:
+    """(n,) heights of the components relative to the highest, and by how many powers of two a weight may fall."""
+    amplitudes = mixture.variances ** (-0.5 * mixture.dimension)
+    amplitudes /= amplitudes.max()
+    # A pair weighs at most what its vaguer half allows: what is too vague reaches nowhere by itself.
+    return amplitudes, np.maximum(0.0, CUT_BITS + np.log2(amplitudes))
+
+
+class Side:
+    """One mixture as the kernels want it: neighbours together, float32, one row per component."""
+
+    def __init__(self, mixture: Mixture, isotropic: bool) -> None:
+        amplitudes, bits = amplitudes_and_bits(mixture)
+        self._rows = 1 if isotropic else 6
+        self._mixture = mixture
+        self.order = morton_order(mixture.points, last=bits == 0.0)
+        self.points = _float32(mixture.points[self.order].T)
+        self.amplitudes = _float32((amplitudes * mixture.weights)[self.order])
+        self.weights = mixture.weights[self.order] / mixture.weights.sum()
+        self.weights32 = _float32(self.weights)
+        self.variances = _float32(mixture.largest_variances[self.order] / LOG2_SCALE)
+        self.bits = _float32(bits[self.order])
+
+    def precisions(self) -> Float32:
+        """(1 or 6, n) packed inverse covariances, in powers of two."""
+        return _float32(LOG2_SCALE * self._mixture.packed_precisions()[: self._rows, self.order])
+
+    def covariances(self) -> Float32:
+        """(1 or 6, n) packed covariances, in powers of two."""
+        return _float32(self._mixture.packed_covariances()[: self._rows, self.order] / LOG2_SCALE)
+
+    def restore(self, values: Array) -> Array:
+        """Values in the kernels' order, put back into the mixture's."""
+        restored = np.empty_like(values)
+        restored[self.order] = values
+        return restored
+
+
+class PairLoop:
+    """The pairs of a source and a target mixture (normalised coordinates), evaluated by the CPU kernels.
+
+    The mixtures are laid out for these with the first pass, which nobody may ask for.
+    """
+
+    def __init__(self, source: Mixture, target: Mixture) -> None:
+        self._mixtures = source, target
+        self._isotropic = source.isotropic and target.isotropic
+        self._planar = source.dimension == 2
+        self._chunks = -(-len(source) // CHUNK)
+        self._bands = min(BANDS, -(-len(source) // CLUSTER))
+        self._threads = max(1, min(numba.get_num_threads(), len(source) * len(target) // PAIRS_PER_THREAD))
+        self._unit = LOG2_SCALE ** (1.0 if self._planar else 1.5)  # |Σ|^(-1/2) in powers of two
+        self._no_columns = np.empty((self._bands, 0), np.float32)
+
+    def sums(self, pose: Array, source_sigma: float, target_sigma: float) -> PairSums:
+        """The paper's E-step at `pose` (4, 4), the covariances of either side times its σ, summed up for the M-step."""
+        source, target = self._source, self._target
+        matrices, target_matrices, scaled = self._precisions
+        np.multiply(target_matrices, np.float32(1.0 / target_sigma), out=scaled)
+        partials, row_weights = np.empty((self._chunks, TOTAL_SUMS)), np.empty(len(source.order))
+        self._run(
+            adaptive_sums,
+            _packed_pose(pose),
+            np.array([source_sigma, target_sigma], np.float32),
+            (source.points, matrices, source.amplitudes, source.variances, source.bits),
+            (target.points, scaled, target.amplitudes),
+            self._tiles,
+            self._isotropic,
+            0,
+            self._chunks,
+            partials,
+            row_weights,
+        )
+        total = total_of(partials)
+        return PairSums(
+            symmetric(total[HESSIAN:GRADIENT]),
+            total[GRADIENT:TOTAL_WEIGHT],
+            total[TOTAL_WEIGHT],
+            total[TOTAL_ENERGY],
+            source.restore(row_weights),
+        )
+
+    def posterior_sums(self, pose: Array, sigma: float, uniform: float, mutuality: float = 0.0) -> PosteriorSums:
+        """The E-step on convolved Gaussians at `pose` (4, 4), summed up for the M-step.
+
+        uniform : density of the points without a partner, in units of (2π)^(-D/2) per normalised volume.
+        mutuality : 0 to 1/2. A pair has two posteriors, seen from the source (the share it has of the density at the
+            source point) and seen from the target. Its weight is their weighted geometric mean, the second to the power
+            of `mutuality`: 1/2 treats both clouds alike. Above 0 it takes a pass over the pairs of its own.
+        """
+        target = self._target
+        packed, n = self._convolved[2], len(target.order)
+        packed[FACTOR, :n] = 1.0
+        columns = None
+        if mutuality > 0.0:
+            columns = self._column_densities(pose, sigma)
+            packed[FACTOR, :n] = (uniform / (columns + uniform)) ** mutuality
+        partials = np.empty((self._bands, TOTAL_SUMS))
+        densities = self._convolve(pose, sigma, uniform, mutuality, self._no_columns, partials)
+        total = total_of(partials)
+
+        def find_column_densities() -> Array:
+            return target.restore(self._column_densities(pose, sigma) if columns is None else columns)
+
+        return PosteriorSums(
+            symmetric(total[HESSIAN:GRADIENT]),
+            total[GRADIENT:TOTAL_WEIGHT],
+            total[TOTAL_WEIGHT],
+            total[TOTAL_ENERGY],
+            self._source.restore(densities / (densities + uniform)),
+            total[TOTAL_MATCHED],
+            find_column_densities,
+        )
+
+    def nearest_sq(self, pose: Array) -> Array:
+        """(M,) squared distance of each source point at `pose` to its nearest target point."""
+        nearest = np.empty(len(self._source.order))
+        self._run(
+            nearest_sq,
+            _packed_pose(pose),
+            self._source.points,
+            self._target.points,
+            self._tiles,
+            0,
+            self._chunks,
+            nearest,
+        )
+        return self._source.restore(nearest)
+
+    @cached_property
+    def _source(self) -> Side:
+        return Side(self._mixtures[0], self._isotropic)
+
+    @cached_property
+    def _target(self) -> Side:
+        return Side(self._mixtures[1], self._isotropic)
+
+    @cached_property
+    def _tiles(self) -> Tiles:
+        return make_tiles(self._target.points, self._target.variances, self._target.bits)
+
+    @cached_property
+    def _precisions(self) -> tuple[Float32, Float32, Float32]:
+        """Precisions of source and target, and room for the target's at some σ."""
+        matrices = self._target.precisions()
+        return self._source.precisions(), matrices, np.empty_like(matrices)
+
+    @cached_property
+    def _convolved(self) -> tuple[Float32, Float32, Float32]:
+        """Covariances of source and target, and the packed target with room for its own at some σ."""
+        matrices, target_matrices = self._source.covariances(), self._target.covariances()
+        return matrices, target_matrices, pack(self._target.points, self._target.weights32, len(matrices))
+
+    def _column_densities(self, pose: Array, sigma: float) -> Array:
+        """(N,) density of the source at the target points, in the kernels' order."""
+        columns = np.empty((self._bands, self._convolved[2].shape[1]), np.float32)
+        self._convolve(pose, sigma, 0.0, 0.0, columns, np.empty((self._bands, TOTAL_SUMS)))
+        sums = np.add.reduce(columns[:, : len(self._target.order)], axis=0, dtype=np.float64)
+        return sums / (self._unit * self._target.weights)
+
+    def _convolve(
+        self, pose: Array, sigma: float, uniform: float, mutuality: float, columns: Float32, partials: Array
+    ) -> Array:
+        """Fill `columns` where there are any, otherwise `partials`; (M,) density of the target at the source points."""
+        source, target, scale = self._source, self._target, np.float32(sigma)
+        matrices, target_matrices, packed = self._convolved
+        np.multiply(target_matrices, scale, out=packed[MATRIX:, : len(target.order)])
+        densities = np.empty(len(source.order))
+        arguments = (
+            _packed_pose(pose),
+            (source.points, matrices * scale, source.weights, source.weights32, source.variances * scale, source.bits),
+            (packed, target.variances * scale, target.bits),
+            self._tiles.at(scale),
+            (self._planar, self._isotropic, columns is not self._no_columns),
+            uniform * self._unit,
+            mutuality,
+            columns,
+            partials,
+            densities,
+        )
+
+        def run(first: int, last: int) -> None:
+            convolution_sums(first, last, *arguments)
+
+        run_in_ranges(convolution_sums, run, self._bands, self._threads)
+        return densities / self._unit
+
+    def _run(self, kernel: Callable[..., None], *args: Any) -> None:
+        threads = numba.get_num_threads()
+        numba.set_num_threads(min(threads, self._threads))
+        try:
+            kernel(*args)
+        finally:
+            numba.set_num_threads(threads)
+
+
+def total_of(partials: Array) -> Array:
+    """The partial sums, added in order and out of powers of two."""
+    total = np.add.reduce(partials, axis=0)
+    total[:TOTAL_WEIGHT] /= LOG2_SCALE
+    total[TOTAL_ENERGY] /= LOG2_SCALE
+    return total
+
+
+def symmetric(upper: Array) -> Array:
+    matrix = np.empty((6, 6))
+    matrix[UPPER] = upper
+    matrix.T[UPPER] = upper
+    return matrix
+
+
+def _packed_pose(pose: Array) -> Float32:
+    return np.ascontiguousarray(pose[:3], np.float32).ravel()
+
+
+def _float32(array: Array) -> Float32:
+    return np.ascontiguousarray(array, np.float32)

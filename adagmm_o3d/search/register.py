@@ -1,0 +1,193 @@
+"""Registration of two mixtures: where to start, which end of a search to believe, and its refinement on all points."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from adagmm_o3d.arguments import Array
+from adagmm_o3d.em.expectation import CLOSE_VOLUME, OPEN_VOLUME, AdaptiveExpectation
+from adagmm_o3d.em.loop import expectation_maximisation
+from adagmm_o3d.em.sigma_rules import Annealed, FigureTwo, NearestDistance, SigmaRule
+from adagmm_o3d.errors import InputError
+from adagmm_o3d.lie import project_to_rotation, split
+from adagmm_o3d.mixtures.mixture import Mixture
+from adagmm_o3d.mixtures.normalisation import Normalisation, normalise
+from adagmm_o3d.options import Callback, Criteria, TransformationEstimationForAdaptiveGMM
+from adagmm_o3d.pairs.device import make_pair_loop
+from adagmm_o3d.result import Iteration, PointRegistrationResult, PoseUncertainty, StopReason
+from adagmm_o3d.search import starts
+from adagmm_o3d.search.levels import Cascade
+from adagmm_o3d.search.refinement import refine
+from adagmm_o3d.search.rotations import is_ambiguous, search_globally
+from adagmm_o3d.search.runs import End, pose_distance
+from adagmm_o3d.trust.conclusion import conclude, lower, no_partners, partners_of
+from adagmm_o3d.trust.pose_covariance import uncertainty_out
+
+# A pose handed over by another program has float32 digits.
+INIT_TOLERANCE = 1e-4
+# A given start is believed when this share of the source has a partner where it leads.
+PLAUSIBLE = 0.1
+# Starts that differ by less than this, in radii, lead to the same end: σ = 0.3 does not tell them apart.
+SAME_START = 0.1
+# The paper's wide mixtures converge slowly: their steps are short long before the end.
+SLOW = 0.01
+
+
+def register_mixtures(
+    moving: Mixture,
+    fixed: Mixture,
+    init: ArrayLike | str | None,
+    method: TransformationEstimationForAdaptiveGMM,
+    limits: Criteria,
+    device: str,
+    callback: Callback | None,
+) -> PointRegistrationResult:
+    """Register the mixtures as they came through the door, wherever they lie; see `register_points`."""
+    dimension = moving.dimension
+    moving, fixed, normalisation = normalise(moving, fixed)
+    observe = _observer(callback, normalisation, dimension)
+    if isinstance(init, str) and init != "global":
+        raise InputError(f"init: expected a pose or 'global', got {init!r}")
+    everywhere = isinstance(init, str)
+    given = None if init is None or everywhere else _start_pose(init, normalisation, dimension)
+    ambiguous, assess = False, _unknown
+    if method.sigma_rule == "posterior":
+        cascade, ends = _find(moving, fixed, method, given, everywhere, normalisation)
+        best, ambiguous = ends[0], everywhere and is_ambiguous(ends)
+        if observe is not None:
+            for iteration in best.iterations:
+                observe(iteration)
+        start, volume = best.start, cascade.volume
+        refined = refine(
+            cascade,
+            best,
+            limits,
+            device=device,
+            mutuality=_mutuality(method, cascade),
+            relaxation=method.relaxation,
+            observe=observe,
+        )
+        outcome, pairs = refined.outcome, refined.pairs
+        if outcome.stop_reason is not StopReason.NO_OVERLAP:
+            assess = partial(uncertainty_out, pairs, refined.source, refined.target, refined.fit, normalisation)
+        if refined.source is not moving:
+            # What is said of each point is said of all of them.
+            pairs = make_pair_loop(moving, refined.target, device)
+    else:
+        if everywhere:
+            raise InputError(f"init: 'global' needs sigma_rule 'posterior', got {method.sigma_rule!r}")
+        identity = normalisation.pose_in(np.eye(4))
+        start = given if given is not None else identity if method.start == "init" else np.eye(4)
+        volume, pairs = OPEN_VOLUME[dimension], make_pair_loop(moving, fixed, device)
+        limits = replace(limits, relative_rmse=SLOW * limits.relative_rmse)
+        expectation = AdaptiveExpectation(pairs, _sigma_rule(method, dimension), start)
+        outcome = expectation_maximisation(
+            expectation, start, limits, dimension, relaxation=method.relaxation, observe=observe
+        )
+    find_partners = partial(no_partners, moving)
+    if outcome.stop_reason is not StopReason.NO_OVERLAP:
+        find_partners = partial(partners_of, pairs, moving, outcome.pose, outcome.iterations[-1].sigma, volume)
+    return conclude(
+        start,
+        outcome,
+        normalisation,
+        moving,
+        fixed,
+        ambiguous=ambiguous,
+        find_partners=find_partners,
+        assess=assess,
+    )
+
+
+def _find(
+    source: Mixture,
+    target: Mixture,
+    method: TransformationEstimationForAdaptiveGMM,
+    given: Array | None,
+    everywhere: bool,
+    normalisation: Normalisation,
+) -> tuple[Cascade, list[End]]:
+    """The ends on the deciding level, the one to refine first, and the cascade that found them."""
+    dimension = source.dimension
+    centroids, identity = np.eye(4), normalisation.pose_in(np.eye(4))
+    cascade = Cascade(source, target, OPEN_VOLUME[dimension])
+    if everywhere:
+        return cascade, search_globally(source, target, volume=cascade.volume)
+    if given is not None and not np.allclose(given, identity):
+        near = Cascade(source, target, CLOSE_VOLUME[dimension])
+        best = max(near.run_deciding(starts.near(given)), key=lambda end: end.log_likelihood)
+        if best.iterations[-1].matched >= PLAUSIBLE:
+            return near, [best]
+        bases = [given]
+    else:
+        bases = {"auto": [centroids, identity], "centroids": [centroids], "init": [identity]}[method.start]
+        if pose_distance(bases[0], bases[-1]) < SAME_START:
+            bases = bases[:1]
+    trusted = cascade.register_trusted([starts.wide(base) for base in bases])
+    if not method.search or cascade.is_tight(trusted[1]):
+        return cascade, [trusted[1]]
+    others = [*starts.around(bases[0], dimension), *(starts.narrow(base) for base in bases[1:])]
+    return cascade, cascade.search(others, trusted)
+
+
+def _unknown() -> PoseUncertainty:
+    """Of a pose that the paper's own rules found, or that no pair speaks for."""
+    return PoseUncertainty(None, ())
+
+
+def _mutuality(method: TransformationEstimationForAdaptiveGMM, cascade: Cascade) -> float:
+    if method.mutuality is not None:
+        return method.mutuality
+    return 0.0 if cascade.small else 0.5
+
+
+def _start_pose(init: ArrayLike, normalisation: Normalisation, dimension: int) -> Array:
+    """(4, 4) `init` between the normalised clouds."""
+    rotation, translation = split(init, name="init", tolerance=INIT_TOLERANCE)
+    if len(translation) != dimension:
+        raise InputError(f"init: expected shape ({dimension + 1}, {dimension + 1}), got {np.shape(init)}")
+    pose = np.eye(4)
+    pose[:dimension, :dimension] = project_to_rotation(rotation)
+    pose[:dimension, 3] = translation
+    return normalisation.pose_in(pose)
+
+
+def _sigma_rule(method: TransformationEstimationForAdaptiveGMM, dimension: int) -> SigmaRule:
+    rules: dict[str, SigmaRule] = {
+        "annealed": Annealed(dimension),
+        "nearest": NearestDistance(dimension),
+        "figure2": FigureTwo(),
+    }
+    return rules[method.sigma_rule]
+
+
+def _observer(
+    callback: Callback | None, normalisation: Normalisation, dimension: int
+) -> Callable[[Iteration], None] | None:
+    if callback is None:
+        return None
+    indices = Counter[int]()
+
+    def observe(iteration: Iteration) -> None:
+        callback(
+            {
+                "iteration_index": indices.total(),
+                "scale_index": iteration.level,
+                "scale_iteration_index": indices[iteration.level],
+                "inlier_rmse": math.sqrt(iteration.energy * iteration.sigma) * normalisation.scale,
+                "fitness": iteration.matched,
+                "transformation": lower(normalisation.pose_out(iteration.pose), dimension),
+                "sigma": normalisation.sigma_out(iteration.sigma),
+                "energy": iteration.energy,
+            }
+        )
+        indices[iteration.level] += 1
+
+    return observe

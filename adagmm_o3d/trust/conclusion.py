@@ -1,0 +1,88 @@
+"""From the end of the EM loop to the result: back to input units, and what speaks against the pose."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from adagmm_o3d.arguments import Array
+from adagmm_o3d.em.expectation import SIGMA_FLOOR, uniform_density
+from adagmm_o3d.em.loop import Outcome
+from adagmm_o3d.mixtures.mixture import Mixture
+from adagmm_o3d.mixtures.normalisation import Normalisation
+from adagmm_o3d.pairs.protocol import Pairs
+from adagmm_o3d.result import Deferred, Partners, PointRegistrationResult, PoseUncertainty, StopReason
+
+# The share of points without a partner that is taken for granted when a point is asked whether it has one.
+JUDGED_UNMATCHED = 0.1
+# Residuals of this variance (a standard deviation of a tenth of the radius) are heavy noise or a wrong pose.
+LARGEST_SIGMA = 0.01
+
+
+def conclude(
+    start: Array,
+    outcome: Outcome,
+    normalisation: Normalisation,
+    source: Mixture,
+    target: Mixture,
+    *,
+    ambiguous: bool,
+    find_partners: Callable[[], Partners],
+    assess: Callable[[], PoseUncertainty],
+) -> PointRegistrationResult:
+    """The result of normalised mixtures in input units."""
+    poses = np.array([start, *(i.pose for i in outcome.iterations)])
+    poses = lower(normalisation.pose_out(poses), source.dimension)
+    return PointRegistrationResult(
+        transformation=poses[-1].copy(),
+        stop_reason=outcome.stop_reason,
+        iterations=len(outcome.iterations),
+        sigmas=np.array([normalisation.sigma_out(i.sigma) for i in outcome.iterations]),
+        energies=np.array([i.energy for i in outcome.iterations]),
+        transformations=poses,
+        dropped_source=source.dropped,
+        dropped_target=target.dropped,
+        ambiguous=ambiguous,
+        doubts=_doubts(outcome, ambiguous),
+        find_partners=Deferred(find_partners),
+        assess=Deferred(assess),
+    )
+
+
+def partners_of(pairs: Pairs, source: Mixture, pose: Array, sigma: float, volume: float) -> Partners:
+    """What a pose between normalised mixtures, whose `pairs` they are, says of every input point of the source.
+
+    Points that have no partner are spread over `volume`.
+    """
+    # Finer than the floor, a point between the samples of the other cloud would seem to have no partner.
+    sigma = max(sigma, SIGMA_FLOOR)
+    posterior = pairs.posterior_sums(pose, sigma, uniform_density(JUDGED_UNMATCHED, source.dimension, volume))
+    row_weights = np.zeros(len(source.kept))
+    row_weights[source.kept] = posterior.row_weights
+    return Partners(float(posterior.overlap), row_weights)
+
+
+def no_partners(source: Mixture) -> Partners:
+    """Of a pose that no pair speaks for."""
+    return Partners(0.0, np.zeros(len(source.kept)))
+
+
+def _doubts(outcome: Outcome, ambiguous: bool) -> tuple[str, ...]:
+    doubts = []
+    if outcome.stop_reason is not StopReason.CONVERGED:
+        doubts.append(f"not converged: {outcome.stop_reason}")
+    if outcome.iterations and outcome.iterations[-1].sigma > LARGEST_SIGMA:
+        deviation = np.sqrt(outcome.iterations[-1].sigma)
+        doubts.append(f"residuals of {deviation:.0%} of the clouds' radius remain: heavy noise or a wrong pose")
+    if ambiguous:
+        doubts.append("another pose explains the clouds as well: a symmetric shape")
+    return tuple(doubts)
+
+
+def lower(poses: Array, dimension: int) -> Array:
+    """(…, 4, 4) poses → (…, D+1, D+1)."""
+    if dimension == 3:
+        return poses
+    keep = np.array([0, 1, 3])
+    return np.ascontiguousarray(poses[..., keep[:, None], keep])

@@ -1,0 +1,222 @@
+"""`adagmm-fusion run`: the pairs of a recording, one by one, into a table, reports, clouds and a Rerun recording."""
+
+import argparse
+import contextlib
+import os
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from adagmm_fusion.commands.progress import progress
+from adagmm_fusion.files.output_folder import exclusive
+from adagmm_fusion.frames.rgbd import RGBDPair
+from adagmm_fusion.meshes.textured_mesh import TexturedMesh, save_textured_mesh
+from adagmm_fusion.pairs.fusion import RigEstimate, fused_cloud, fused_mesh, save_cloud
+from adagmm_fusion.pairs.pipeline import PairOutcome, compile_kernels, run_pairs
+from adagmm_fusion.pairs.record import PairRecord, pair_record
+from adagmm_fusion.pairs.report import Report, terminal_table, write_report
+from adagmm_fusion.pairs.settings import Settings
+from adagmm_fusion.processes.interruption import exit_code
+from adagmm_fusion.recordings.frame_sequence import Recording
+from adagmm_fusion.recordings.opening import open_recording
+from adagmm_fusion.rerun_log import (
+    Eye,
+    Limits,
+    SummaryRow,
+    dashboard,
+    log_pair,
+    log_recording_properties,
+    log_recording_summary,
+    log_refused_pair,
+    open_stream,
+    send_blueprint,
+)
+from adagmm_fusion.rigs.rig import save_rig
+from adagmm_o3d.errors import InputError
+
+TABLE_WIDTH = 150  # of the table where the output is no terminal
+
+
+def run(args: argparse.Namespace, settings: Settings) -> int:
+    """Run over args.recording; returns the exit code: 0, or 130 or 143 if it was stopped, with what was finished kept.
+
+    Raises
+    ------
+    AdaGMMError  if the recording or its rig cannot be used, or a result cannot be written.
+    """
+    recording = open_recording(args.recording, format=args.format, rig=args.calibration, step=args.step)
+    indices = selected_pairs(args.pairs, len(recording))
+    folder = Path(args.output) if args.output else Path("output") / recording.path.resolve().name
+    logs_to_file = not (args.no_rerun or args.connect or args.serve or args.url or args.stdout)
+    if logs_to_file and args.save is None:
+        args.save = str(folder / f"{recording.path.resolve().name}.rrd")
+
+    results: dict[str, str] = {}
+    records: list[PairRecord] = []
+    rig_estimate, stopped = RigEstimate(), None
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(exclusive(folder))
+        viewer = None if args.no_rerun else stack.enter_context(_viewer(args, recording, settings, len(indices)))
+        display = stack.enter_context(progress())
+        task = display.add_task("compiling kernels", total=len(indices))
+        compile_kernels(settings.device)
+        display.update(task, description=recording.name)
+        try:
+            for outcome in run_pairs(recording, settings, indices):
+                wanted = outcome.estimate is not None and not (viewer is None and args.no_clouds)
+                mesh = _fused(outcome, settings) if wanted else None
+                if viewer is not None:
+                    viewer.log(outcome, mesh)
+                rig_estimate.add(outcome)
+                if mesh is not None and not args.no_clouds:
+                    results |= _saved(outcome, mesh, folder, settings)
+                records.append(pair_record(outcome))
+                display.advance(task)
+        except KeyboardInterrupt as stop:
+            stopped = stop
+        finally:
+            # Whatever ended the run, the pairs that were finished are reported.
+            if viewer is not None:
+                viewer.summarize(records)
+            rig = rig_estimate.rig(f"{recording.path.resolve().name}_estimated")
+            if rig is not None:
+                save_rig(folder / "rig.yaml", rig)
+                results["estimated rig"] = "rig.yaml"
+            if logs_to_file:
+                results["Rerun recording"] = os.path.relpath(args.save, folder)
+            report = Report(
+                recording=recording.name,
+                path=str(args.recording),
+                format=recording.format,
+                sensors=recording.sensors,
+                calibration=args.calibration,
+                settings=settings,
+                pairs_asked=len(indices),
+                records=records,
+                interrupted=stopped is not None,
+                results=results,
+            )
+            paths = write_report(folder, report)
+            display.stop()
+            _print(report, folder, paths, to_stderr=args.stdout)
+    return 0 if stopped is None else exit_code(stopped)
+
+
+def selected_pairs(text: str | None, count: int) -> list[int]:
+    """Indices from "0,3,5-7", in that order and each once; all for None.
+
+    Raises
+    ------
+    InputError  if the text is something else, or an index is not there.
+    """
+    if text is None:
+        return list(range(count))
+    indices: list[int] = []
+    for part in text.split(","):
+        first, dash, last = part.strip().partition("-")
+        if not (first.isdecimal() and (last.isdecimal() if dash else not last)):
+            raise InputError(f"--pairs: expected numbers and ranges as in 0,3,5-7, got {text!r}")
+        chosen = range(int(first), int(last if dash else first) + 1)
+        if not chosen or chosen[-1] >= count:
+            raise InputError(f"--pairs: expected ranges within 0-{count - 1}, the recording's pairs, got {part!r}")
+        indices += chosen
+    return list(dict.fromkeys(indices))
+
+
+def _fused(outcome: PairOutcome, settings: Settings) -> TexturedMesh | None:
+    return fused_mesh(outcome.pair, outcome.T_estimate, max_depth_m=settings.max_depth_m)
+
+
+def _saved(outcome: PairOutcome, mesh: TexturedMesh, folder: Path, settings: Settings) -> dict[str, str]:
+    """Write a pair's fused cloud and textured mesh; names of results and their files in the folder."""
+    stem = f"fused/{outcome.pair_name}"
+    cloud = fused_cloud(outcome.pair, outcome.T_estimate, max_depth_m=settings.max_depth_m)
+    save_cloud(folder / f"{stem}.ply", cloud)
+    save_textured_mesh(folder / f"{stem}.glb", mesh)
+    return {
+        f"fused cloud {outcome.pair_name}": f"{stem}.ply",
+        f"textured mesh {outcome.pair_name}": f"{stem}.glb",
+    }
+
+
+class _Viewer:
+    """Logs outcomes to a Rerun stream as they come."""
+
+    def __init__(self, stream, settings: Settings, pair_count: int) -> None:
+        self._stream, self._many = stream, pair_count > 1
+        self._limits = Limits(settings.max_rotation_error_deg, settings.max_translation_error_mm)
+        self._next_frame, self._em_step, self._has_eye = 0, 0, False
+        self._before: RGBDPair | None = None
+
+    def log(self, outcome: PairOutcome, fused: TexturedMesh | None) -> None:
+        frame_index = self._next_frame
+        self._next_frame += 1
+        shown_as = {"frame_index": frame_index if self._many else None, "em_step": self._em_step}
+        if outcome.source_cloud is None:
+            shown_as["before"] = self._before
+            self._em_step = log_refused_pair(self._stream, outcome.pair_name, outcome.reason, **shown_as)
+            return
+        self._before = outcome.pair
+        if not self._has_eye:
+            self._has_eye = True
+            eye = Eye.behind(np.asarray(outcome.target_cloud.points))
+            send_blueprint(self._stream, many_pairs=self._many, eye=eye)
+        self._em_step = log_pair(
+            self._stream,
+            outcome.pair,
+            outcome.source_cloud,
+            outcome.target_cloud,
+            outcome.estimate,
+            **shown_as,
+            status=outcome.status,
+            reason=outcome.reason,
+            seconds=outcome.seconds_registration,
+            limits=self._limits,
+            partner_distance=None if outcome.evaluation is None else outcome.evaluation.partner_distance_m,
+            fused=fused,
+        )
+
+    def summarize(self, records: list[PairRecord]) -> None:
+        rows = [
+            SummaryRow(
+                frame_index=frame_index,
+                name=record.pair,
+                status=record.status,
+                rotation_deg=record.rotation_error_deg,
+                translation_mm=record.translation_error_mm,
+                overlap=record.overlap,
+                iterations=record.iterations,
+                seconds=record.seconds_registration,
+                reason=record.reason,
+            )
+            for frame_index, record in enumerate(records)
+        ]
+        if self._many and rows:
+            log_recording_summary(self._stream, rows)
+
+
+@contextlib.contextmanager
+def _viewer(args: argparse.Namespace, recording: Recording, settings: Settings, pair_count: int):
+    with open_stream(args, recording.name, dashboard(many_pairs=pair_count > 1)) as stream:
+        log_recording_properties(
+            stream,
+            recording=str(args.recording),
+            sensors=recording.sensors,
+            calibration=args.calibration,
+            parameters=asdict(settings),
+        )
+        yield _Viewer(stream, settings, pair_count)
+
+
+def _print(report: Report, folder: Path, paths: tuple[Path, Path], *, to_stderr: bool) -> None:
+    console = Console(stderr=to_stderr, highlight=False, soft_wrap=True)
+    if not console.is_terminal:
+        console = Console(stderr=to_stderr, highlight=False, soft_wrap=True, width=TABLE_WIDTH)
+    console.print(terminal_table(report))
+    for line in report.failures():
+        console.print(f"failed: {line}", style="red", markup=False)
+    console.print(f"report: {paths[0]}, {paths[1]}", markup=False)
+    for what, path in report.results.items():
+        console.print(f"{what}: {os.path.normpath(folder / path)}", markup=False)

@@ -1,0 +1,100 @@
+"""`adagmm-fusion run` on a folder of recordings: each a task of its own, on local processes or on a cluster."""
+
+import argparse
+import contextlib
+import copy
+import io
+import json
+import statistics
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Column, Table
+
+from adagmm_fusion.commands.run import run
+from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.formats import FORMATS
+from adagmm_fusion.pairs.settings import Settings
+from adagmm_fusion.processes.task_pool import TaskFailure, run_tasks
+
+
+@dataclass(frozen=True)
+class RecordingTask:
+    """One recording to run: the command line's arguments, with its own folder and output."""
+
+    arguments: argparse.Namespace
+    settings: Settings
+
+
+@dataclass(frozen=True)
+class RecordingResult:
+    """What a run wrote into its report, summed up: pairs that succeeded, pairs in all, median errors where known."""
+
+    ok: int
+    pairs: int
+    rotation_deg: float | None
+    translation_mm: float | None
+    report: str
+
+
+def recordings_in(path: str | Path) -> list[Path]:
+    """The recordings among a folder's subfolders; none if the folder is a recording itself, or no folder."""
+    folder = Path(path)
+    if not folder.is_dir() or _is_recording(folder):
+        return []
+    return [child for child in sorted(folder.iterdir()) if child.is_dir() and _is_recording(child)]
+
+
+def run_many(recordings: list[Path], args: argparse.Namespace, settings: Settings) -> int:
+    """Run every recording; returns 0 if all could be run, 1 if one could not. Each has the files of a run of its own.
+
+    Raises
+    ------
+    RecordingError : options that only make sense for one recording.
+    """
+    for option, value in (("--pairs", args.pairs), ("--save", args.save), ("--calibration", args.calibration)):
+        if value is not None:
+            raise RecordingError(f"{args.recording}: a folder of {len(recordings)} recordings; {option} is for one")
+    output = Path(args.output) if args.output else Path("output") / Path(args.recording).resolve().name
+    tasks = {path.name: RecordingTask(_for_one(args, path, output), settings) for path in recordings}
+    results = dict(run_tasks(run_recording, tasks, workers=args.workers, scheduler=args.scheduler))
+    table = Table("recording", "ok", "pairs", "median [°]", "median [mm]", Column("report", overflow="fold"))
+    for name in tasks:
+        result = results[name]
+        if isinstance(result, TaskFailure):
+            table.add_row(name, "-", "-", "-", "-", f"failed: {result.reason}")
+        else:
+            numbers = (_shown(result.rotation_deg, 2), _shown(result.translation_mm, 0))
+            table.add_row(name, str(result.ok), str(result.pairs), *numbers, result.report)
+    Console().print(table)
+    return int(any(isinstance(result, TaskFailure) for result in results.values()))
+
+
+def run_recording(task: RecordingTask) -> RecordingResult:
+    """Run one recording and read its report; what it would print is in the report."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        run(task.arguments, task.settings)
+    path = Path(task.arguments.output) / "report.json"
+    pairs = json.loads(path.read_text())["pairs"]
+
+    def median(key: str) -> float | None:
+        known = [pair[key] for pair in pairs if pair[key] is not None]
+        return statistics.median(known) if known else None
+
+    ok = sum(pair["status"] == "ok" for pair in pairs)
+    return RecordingResult(ok, len(pairs), median("rotation_error_deg"), median("translation_error_mm"), str(path))
+
+
+def _for_one(args: argparse.Namespace, recording: Path, output: Path) -> argparse.Namespace:
+    one = copy.copy(args)
+    one.recording, one.output = str(recording.resolve()), str((output / recording.name).resolve())
+    return one
+
+
+def _is_recording(folder: Path) -> bool:
+    return any(module.matches(folder) for module in FORMATS.values())
+
+
+def _shown(number: float | None, digits: int) -> str:
+    return "-" if number is None else f"{number:.{digits}f}"

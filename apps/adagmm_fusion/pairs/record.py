@@ -1,0 +1,101 @@
+"""The numbers of one registered pair, plain and small, as the reports hold them."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from adagmm_fusion.pairs.pipeline import PairOutcome
+
+
+@dataclass(frozen=True)
+class PairRecord:
+    """The numbers of one outcome, without its images and clouds; None where there are none. JSON has these names."""
+
+    pair: str
+    index: int
+    status: str
+    judged_by: str
+    reason: str
+    target: str | None = None
+    source: str | None = None
+    target_points: int | None = None
+    source_points: int | None = None
+    T_target_source: list[list[float]] | None = None
+    T_target_source_truth: list[list[float]] | None = None
+    initial_rotation_error_deg: float | None = None
+    initial_translation_error_mm: float | None = None
+    rotation_error_frobenius: float | None = None
+    rotation_error_deg: float | None = None
+    translation_error_mm: float | None = None
+    partner_distance_mm: float | None = None
+    overlap: float | None = None
+    overlap_truth: float | None = None
+    inlier_rmse_mm: float | None = None
+    started_from: str | None = None
+    feature_inliers: int | None = None
+    estimated_overlap: float | None = None
+    sigma: float | None = None
+    iterations: int | None = None
+    stop_reason: str | None = None
+    converged: bool | None = None
+    trustworthy: bool | None = None
+    warnings: tuple[str, ...] = ()
+    seconds_clouds: float | None = None
+    seconds_features: float | None = None
+    seconds_registration: float | None = None
+
+
+def pair_record(outcome: PairOutcome) -> PairRecord:
+    """What the report says about an outcome."""
+    known = {}
+    if outcome.pair is not None:
+        target, source, T_truth = outcome.pair.target, outcome.pair.source, outcome.pair.T_target_source
+        known |= {"target": f"{target.sensor}/{target.name}", "source": f"{source.sensor}/{source.name}"}
+        known["T_target_source_truth"] = None if T_truth is None else np.asarray(T_truth).tolist()
+    if outcome.source_cloud is not None:
+        known |= {"target_points": len(outcome.target_cloud.points), "source_points": len(outcome.source_cloud.points)}
+    if (estimate := outcome.estimate) is not None:
+        known |= {
+            "T_target_source": np.asarray(estimate.transformation).tolist(),
+            "started_from": "clouds" if outcome.features is None else "features",
+            "feature_inliers": None if outcome.features is None else outcome.features.inliers,
+            "estimated_overlap": _number(estimate.overlap),
+            "sigma": _number(estimate.sigma),
+            "iterations": int(estimate.iterations),
+            "stop_reason": str(estimate.stop_reason),
+            "converged": bool(estimate.converged),
+            "trustworthy": bool(estimate.trustworthy),
+            "warnings": tuple(estimate.warnings),
+        }
+    if (evaluation := outcome.evaluation) is not None:
+        known |= {
+            "partner_distance_mm": _number(1000.0 * evaluation.partner_distance_m),
+            "overlap": _number(evaluation.overlap),
+            "overlap_truth": _number(evaluation.overlap_truth),
+            "inlier_rmse_mm": _number(1000.0 * evaluation.inlier_rmse_m),
+        }
+        if evaluation.errors is not None:
+            known |= {
+                "initial_rotation_error_deg": _number(evaluation.initial_errors.rotation_deg),
+                "initial_translation_error_mm": _number(1000.0 * evaluation.initial_errors.translation),
+                "rotation_error_frobenius": _number(evaluation.errors.rotation_frobenius),
+                "rotation_error_deg": _number(evaluation.errors.rotation_deg),
+                "translation_error_mm": _number(1000.0 * evaluation.errors.translation),
+            }
+    return PairRecord(
+        pair=outcome.pair_name,
+        index=outcome.index,
+        status=outcome.status,
+        judged_by=outcome.judged_by,
+        reason=outcome.reason,
+        seconds_clouds=outcome.seconds_clouds,
+        seconds_features=outcome.seconds_features,
+        seconds_registration=outcome.seconds_registration,
+        **known,
+    )
+
+
+def _number(value: float | None) -> float | None:
+    """A plain float, None where it is missing or not finite: JSON has no NaN."""
+    return None if value is None or not math.isfinite(value) else float(value)

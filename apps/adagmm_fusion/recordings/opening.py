@@ -1,0 +1,53 @@
+"""Opening a recording, whatever its format."""
+
+from pathlib import Path
+
+from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.formats import FORMATS
+from adagmm_fusion.formats.options import ReadOptions
+from adagmm_fusion.recordings.frame_sequence import FrameEntry, FrameSequence, PairEntry, Recording
+from adagmm_fusion.rigs.rig import Rig, load_rig
+from adagmm_o3d.errors import InputError
+
+__all__ = ["FORMATS", "FrameEntry", "FrameSequence", "PairEntry", "Recording", "open_recording"]
+
+
+def open_recording(path, *, format: str | None = None, rig: Rig | str | Path | None = None, step: int = 1) -> Recording:
+    """Open a recording. Nothing but its lists, poses and calibration is read now; images are read when asked
+    for.
+
+    Parameters
+    ----------
+    path : the recording's folder, or a video file.
+    format : a name in FORMATS; None looks at what is there.
+    rig : a Rig or a rig file that replaces the recording's own intrinsics, depth scales and (our layout) sensor poses.
+    step : distance in frames of the two frames of a pair, for one moving sensor whose recording does not list its
+    pairs.
+
+    Raises
+    ------
+    RecordingError, RigError  naming the file, the line where there is one, what was wanted and what is there.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise RecordingError(f"{path}: there is no such recording")
+    if isinstance(step, bool) or not isinstance(step, int) or step < 1:
+        raise InputError(f"step: expected a positive number of frames, got {step!r}")
+    if rig is not None and not isinstance(rig, Rig):
+        rig = load_rig(rig)
+    if format is not None and format not in FORMATS:
+        raise InputError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")
+    try:
+        return FORMATS[format or _detect(path)].read(path, ReadOptions(rig, step))
+    except OSError as problem:  # folders that may not be listed, links in a circle
+        raise RecordingError(f"{path}: cannot be read: {problem}") from problem
+
+
+def _detect(path: Path) -> str:
+    found = [name for name, module in FORMATS.items() if module.matches(path)]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise RecordingError(f"{path}: could be {' or '.join(found)}; say which with format")
+    known = "; ".join(f"{name}: {module.SUMMARY}" for name, module in FORMATS.items())
+    raise RecordingError(f"{path}: not a recording of a known format ({known})")

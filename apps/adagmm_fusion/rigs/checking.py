@@ -1,0 +1,177 @@
+"""Is a rig's calibration still true? The clouds of its sensors registered again, starting from what it says."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from adagmm_fusion.clouds.building import clouds_from_pair
+from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.pairs.fusion import mean_pose
+from adagmm_fusion.pairs.pipeline import PARTNER_SPACINGS
+from adagmm_fusion.pairs.settings import Settings
+from adagmm_fusion.recordings.frame_sequence import Recording
+from adagmm_fusion.rigs.rig import Rig
+from adagmm_o3d import lie, registration_adaptive_gmm
+from adagmm_o3d.errors import AdaGMMError
+from adagmm_o3d.evaluation import pose_errors
+
+UNCHANGED, MOVED, UNDECIDED = "unchanged", "moved", "undecided"
+# The mean over frames is taken to be within this many of its standard errors.
+STANDARD_ERRORS = 2.0
+MIN_FRAMES = 2
+
+
+@dataclass(frozen=True, eq=False)
+class FrameCheck:
+    """One frame: how far the registered pose is from the rig's, or why it says nothing.
+
+    rotation_sigma_deg, translation_sigma_mm : standard deviations of the sensor's rotation and place by the pose's own
+        covariance, which knows of noise that is independent from point to point alone.
+    """
+
+    frame: str
+    rotation_deg: float | None = None
+    translation_mm: float | None = None
+    T_target_source: np.ndarray | None = None
+    reason: str = ""
+    rotation_sigma_deg: float | None = None
+    translation_sigma_mm: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SensorCheck:
+    """One sensor against the target over all frames.
+
+    rotation_deg, translation_mm : how far the mean of the registered poses is from the rig's.
+    rotation_spread_deg, translation_spread_mm : root mean square distance of the frames' poses from their mean.
+    T_target_source : that mean, None if fewer than two frames could be used; so are the numbers then.
+    """
+
+    source: str
+    target: str
+    verdict: str
+    frames: tuple[FrameCheck, ...]
+    rotation_deg: float | None = None
+    translation_mm: float | None = None
+    rotation_spread_deg: float | None = None
+    translation_spread_mm: float | None = None
+    T_target_source: np.ndarray | None = None
+
+
+def check_rig(
+    rig: Rig,
+    recording: Recording,
+    settings: Settings,
+    *,
+    max_rotation_deg: float,
+    max_translation_mm: float,
+    max_frames: int,
+    on_frame: Callable[[int, int], None] | None = None,
+) -> list[SensorCheck]:
+    """Register up to max_frames moments of each pair of sensors, spread over the recording, from the rig's own pose.
+
+    Raises
+    ------
+    RigError  if the rig lacks a sensor or does not know where it is.
+    RecordingError  if the recording has no pair of two sensors at one moment.
+    """
+    by_sensors: dict[tuple[str, str], list[int]] = {}
+    for i, pair in enumerate(recording.pairs):
+        source, target = recording.entries[pair.source], recording.entries[pair.target]
+        if source.sensor != target.sensor and source.name == target.name:
+            by_sensors.setdefault((source.sensor, target.sensor), []).append(i)
+    if not by_sensors:
+        raise RecordingError(f"{recording.path}: expected frames of two sensors at one moment, got none; see --help")
+    poses = {sensors: rig.T_target_source(sensors[1], sensors[0]) for sensors in by_sensors}
+    chosen = {sensors: spread_over(indices, max_frames) for sensors, indices in by_sensors.items()}
+    total, done, checks = sum(map(len, chosen.values())), 0, []
+    for (source, target), indices in chosen.items():
+        frames = []
+        for index in indices:
+            frames.append(_check_frame(recording, index, poses[source, target], settings))
+            done += 1
+            if on_frame is not None:
+                on_frame(done, total)
+        checks.append(judged(source, target, frames, poses[source, target], max_rotation_deg, max_translation_mm))
+    return checks
+
+
+def spread_over(indices: list[int], count: int) -> list[int]:
+    """`count` of them at most, evenly from first to last."""
+    if count >= len(indices):
+        return indices
+    return [indices[i] for i in np.unique(np.linspace(0, len(indices) - 1, count).round().astype(int))]
+
+
+def judged(
+    source: str,
+    target: str,
+    frames: Iterable[FrameCheck],
+    T_rig: np.ndarray,
+    max_rotation_deg: float,
+    max_translation_mm: float,
+) -> SensorCheck:
+    """The verdict: unchanged, or moved, only if the mean's uncertainty leaves no doubt about it."""
+    frames = tuple(frames)
+    poses = [frame.T_target_source for frame in frames if frame.T_target_source is not None]
+    if len(poses) < MIN_FRAMES:
+        return SensorCheck(source, target, UNDECIDED, frames)
+    T_mean = mean_pose(poses)
+    moved = pose_errors(T_rig, T_mean)
+    apart = [pose_errors(T_mean, T) for T in poses]
+    spread_deg = float(np.sqrt(np.mean([e.rotation_deg**2 for e in apart])))
+    spread_mm = 1000.0 * float(np.sqrt(np.mean([e.translation**2 for e in apart])))
+    doubt = STANDARD_ERRORS / np.sqrt(len(poses) - 1)
+    translation_mm = 1000.0 * moved.translation
+    if moved.rotation_deg + doubt * spread_deg <= max_rotation_deg and (
+        translation_mm + doubt * spread_mm <= max_translation_mm
+    ):
+        verdict = UNCHANGED
+    elif moved.rotation_deg - doubt * spread_deg > max_rotation_deg or (
+        translation_mm - doubt * spread_mm > max_translation_mm
+    ):
+        verdict = MOVED
+    else:
+        verdict = UNDECIDED
+    return SensorCheck(
+        source, target, verdict, frames, moved.rotation_deg, translation_mm, spread_deg, spread_mm, T_mean
+    )
+
+
+def _check_frame(recording: Recording, index: int, T_rig: np.ndarray, settings: Settings) -> FrameCheck:
+    frame = recording.entries[recording.pairs[index].source].name
+    try:
+        source, target = clouds_from_pair(
+            recording[index],
+            voxel_size=settings.voxel_size_m,
+            target_points=settings.target_points,
+            sensor_model=settings.sensor_model,
+            max_depth=settings.max_depth_m,
+        )
+        distance = PARTNER_SPACINGS * float(np.mean(target.compute_nearest_neighbor_distance()))
+        result = registration_adaptive_gmm(source, target, distance, T_rig, device=settings.device).details
+    except AdaGMMError as problem:
+        return FrameCheck(frame, reason=" ".join(str(problem).split()))
+    if not result.trustworthy:
+        return FrameCheck(frame, reason="; ".join(result.warnings))
+    T = np.asarray(result.transformation)
+    moved, (sigma_deg, sigma_mm) = pose_errors(T_rig, T), pose_sigmas(result.pose_covariance, T)
+    return FrameCheck(
+        frame,
+        moved.rotation_deg,
+        1000.0 * moved.translation,
+        T,
+        rotation_sigma_deg=sigma_deg,
+        translation_sigma_mm=sigma_mm,
+    )
+
+
+def pose_sigmas(covariance: np.ndarray | None, T: np.ndarray) -> tuple[float | None, float | None]:
+    """Standard deviations of the rotation [deg] and of where the source sensor is [mm], all axes together."""
+    if covariance is None:
+        return None, None
+    # A perturbation (ω, v) on the left moves the sensor's place t by v + ω × t.
+    J = np.hstack((-lie.hat(T[:3, 3]), np.eye(3)))
+    rotation = np.degrees(np.sqrt(np.trace(covariance[:3, :3])))
+    return float(rotation), 1000.0 * float(np.sqrt(np.trace(J @ covariance @ J.T)))

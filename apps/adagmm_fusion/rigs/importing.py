@@ -1,0 +1,160 @@
+"""Calibrations of other programs as a rig: ROS camera_info YAML and OpenCV FileStorage (YAML, XML or JSON).
+
+ROS camera_info, as camera_calibration writes it or `rostopic echo` prints it, one camera a file:
+    image_width, image_height            or width, height
+    camera_matrix: {rows, cols, data}    or K (k), a list of 9
+    distortion_model                     plumb_bob or rational_polynomial
+    distortion_coefficients: {...}       or D (d), a list
+    rectification_matrix, projection_matrix, or R, P (r, p): where they say so, the two cameras' relative pose [m]
+
+OpenCV FileStorage, under the names its samples use; the second camera of a stereo file has the names with a 2:
+    camera_matrix, cameraMatrix, K, or M1, cameraMatrix1, K1                             3x3
+    distortion_coefficients, distCoeffs, D, or D1, distCoeffs1                           optional
+    image_width, image_height or image_size, imageSize (width, height)                  optional
+    R, T (in a stereo file)                                                              x2 = R x1 + T
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from adagmm_fusion.errors import RigError
+from adagmm_fusion.files.input_file import read_input
+from adagmm_fusion.files.opencv_nodes import read_nodes
+from adagmm_fusion.files.strict_yaml import Item, read_yaml
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics, checked_rigid_transformation, inverse_rigid
+from adagmm_o3d.errors import InputError
+
+ROS_MODELS = ("plumb_bob", "rational_polynomial")
+MATRIX_NAMES = ("camera_matrix", "cameraMatrix", "K")
+DISTORTION_NAMES = ("distortion_coefficients", "distCoeffs", "D")
+SIZE_NAMES = ("image_size", "imageSize")
+OPENCV_MARKS = (b"%YAML:1.0", b"opencv_storage", b"opencv-matrix")
+
+
+@dataclass(frozen=True, eq=False)
+class ImportedCamera:
+    """`T_stereo_camera` (4, 4): its pose in the rectified frame that it shares with the other camera, or None."""
+
+    intrinsics: PinholeIntrinsics
+    T_stereo_camera: np.ndarray | None = None
+
+
+def read_camera(path, number: int = 1, size: tuple[int, int] | None = None) -> ImportedCamera:
+    """One camera's calibration.
+
+    Parameters
+    ----------
+    number : which camera of an OpenCV stereo file, from 1.    size : (width, height) where the file has none.
+
+    Raises
+    ------
+    RigError  naming the file and what is missing or wrong.
+    """
+    path = Path(path)
+    start = read_input(path, RigError, count=4096)
+    if any(mark in start for mark in OPENCV_MARKS) or path.suffix.lower() in (".xml", ".json"):
+        return ImportedCamera(_opencv_camera(path, number, size))
+    return _ros_camera(path)
+
+
+def read_stereo_pose(path, metres_per_unit: float) -> np.ndarray:
+    """T_first_second (4, 4) [m] from R and T of an OpenCV file, whose T is in units of `metres_per_unit`."""
+    nodes = _nodes(Path(path), ("R", "T"))
+    R, t = nodes.get("R", np.empty(0)), nodes.get("T", np.empty(0))
+    if R.shape != (3, 3) or t.size != 3:
+        raise RigError(f"{path}: expected R (3x3) and T (3) of a stereo calibration")
+    T_second_first = np.eye(4)
+    T_second_first[:3, :3], T_second_first[:3, 3] = R, metres_per_unit * t.ravel()
+    try:
+        return inverse_rigid(checked_rigid_transformation(T_second_first, "R, T"))
+    except InputError as problem:
+        raise RigError(f"{path}: {problem}") from problem
+
+
+def _intrinsics(path: Path, size, K, distortion) -> PinholeIntrinsics:
+    K = np.asarray(K, dtype=float)
+    if K.shape != (3, 3) or K[0, 1] != 0 or K[1, 0] != 0 or not np.array_equal(K[2], (0, 0, 1)):
+        raise RigError(f"{path}: expected a camera matrix fx 0 cx / 0 fy cy / 0 0 1, got {K.tolist()}")
+    try:
+        return PinholeIntrinsics(*size, K[0, 0], K[1, 1], K[0, 2], K[1, 2], tuple(np.ravel(distortion).tolist()))
+    except InputError as problem:
+        raise RigError(f"{path}: {problem}") from problem
+
+
+def _nodes(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    read_input(path, RigError, count=1)  # it is there, and a file
+    nodes = read_nodes(path, names)
+    if nodes is None:
+        raise RigError(f"{path}: OpenCV cannot read it; it is damaged or something else")
+    return nodes
+
+
+def _opencv_camera(path: Path, number: int, size: tuple[int, int] | None) -> PinholeIntrinsics:
+    matrix_names = (*MATRIX_NAMES, *(f"{name}{number}" for name in ("M", "cameraMatrix", "K")))
+    distortion_names = (*DISTORTION_NAMES, *(f"{name}{number}" for name in ("D", "distCoeffs")))
+    nodes = _nodes(path, (*matrix_names, *distortion_names, "image_width", "image_height", *SIZE_NAMES))
+
+    def first(names: tuple[str, ...]) -> np.ndarray | None:
+        return next((nodes[name] for name in names if name in nodes), None)
+
+    K = first(matrix_names)
+    if K is None:
+        names = ", ".join(MATRIX_NAMES)
+        raise RigError(f"{path}: expected a camera matrix called {names} or M{number}, got none")
+    distortion = first(distortion_names)
+    both = first(SIZE_NAMES)
+    if both is None and "image_width" in nodes and "image_height" in nodes:
+        both = np.array([nodes["image_width"], nodes["image_height"]])
+    if both is not None:
+        if both.shape != (2,) or not np.isfinite(both).all():
+            raise RigError(f"{path}: expected an image size of two numbers, got {both.tolist()}")
+        size = int(both[0]), int(both[1])
+    if size is None:
+        raise RigError(f"{path}: the image size is not in it; give it with --size")
+    return _intrinsics(path, size, K, () if distortion is None else distortion)
+
+
+def _ros_camera(path: Path) -> ImportedCamera:
+    keys = read_yaml(path, RigError).mapping()
+
+    def find(*names: str) -> Item | None:
+        return next((keys[name] for name in names if name in keys), None)
+
+    def need(*names: str) -> Item:
+        item = find(*names)
+        if item is None:
+            raise RigError(f"{path}: expected a ROS camera_info or OpenCV calibration, there is no {names[0]}")
+        return item
+
+    size = need("image_width", "width").integer(), need("image_height", "height").integer()
+    K = _numbers(need("camera_matrix", "K", "k"), 9).reshape(3, 3)
+    distortion = _numbers(need("distortion_coefficients", "D", "d"))
+    model = find("distortion_model")
+    if model is not None and model.text() not in ROS_MODELS and np.any(distortion):
+        model.fail(f"expected {' or '.join(ROS_MODELS)}, got {model.value}; calibrate with one of these models")
+    intrinsics = _intrinsics(path, size, K, distortion if np.any(distortion) else ())
+    R, P = find("rectification_matrix", "R", "r"), find("projection_matrix", "P", "p")
+    if R is None or P is None:
+        return ImportedCamera(intrinsics)
+    P = _numbers(P, 12).reshape(3, 4)
+    if P[0, 0] == 0:  # an uncalibrated one is all zeros
+        return ImportedCamera(intrinsics)
+    T_rectified_camera = np.eye(4)
+    T_rectified_camera[:3, :3] = _numbers(R, 9).reshape(3, 3)
+    try:
+        T = checked_rigid_transformation(T_rectified_camera, "rectification_matrix")
+    except InputError as problem:
+        raise RigError(f"{path}: {problem}") from problem
+    # The rectified camera looks along the common frame's axes from where P's last column says: P = K' [I | -position].
+    T[0, 3], T[1, 3] = -P[0, 3] / P[0, 0], -P[1, 3] / P[1, 1]
+    return ImportedCamera(intrinsics, T)
+
+
+def _numbers(item: Item, count: int | None = None) -> np.ndarray:
+    data = item.value["data"] if isinstance(item.value, dict) and "data" in item.value else item
+    numbers = data.numbers()
+    if count is not None and len(numbers) != count:
+        data.fail(f"expected {count} numbers, got {len(numbers)}")
+    return np.array(numbers)

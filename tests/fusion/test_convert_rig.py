@@ -1,0 +1,144 @@
+"""`adagmm-fusion convert-rig`: what ROS and OpenCV wrote about two cameras is the same rig in our file."""
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from adagmm_fusion.cli import main
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics, inverse_rigid
+from adagmm_fusion.rigs.rig import load_rig
+
+LEFT = PinholeIntrinsics(640, 480, 525.0, 527.0, 322.0, 238.0, (0.08, -0.15, 0.001, -0.0007, 0.02))
+RIGHT = PinholeIntrinsics(640, 480, 540.0, 538.0, 315.0, 245.0, (-0.05, 0.06, 0.0, 0.001, 0.0))
+T_LEFT_RIGHT = np.eye(4)
+T_LEFT_RIGHT[:3, :3] = Rotation.from_euler("xyz", (3.0, -12.0, 2.0), degrees=True).as_matrix()
+T_LEFT_RIGHT[:3, 3] = (0.35, 0.02, 0.06)
+
+
+def rectified():
+    """R1, R2, P1, P2 as OpenCV and, with it, ROS make them."""
+    T = inverse_rigid(T_LEFT_RIGHT)
+    cameras = [part for k in (LEFT, RIGHT) for part in (k.matrix(), np.array(k.distortion))]
+    return cv2.stereoRectify(*cameras, (640, 480), T[:3, :3], T[:3, 3:])[:4]
+
+
+def ros(path, k, R=None, P=None, *, model="plumb_bob"):
+    def block(name, matrix):
+        rows, columns = matrix.shape
+        return f"{name}:\n  rows: {rows}\n  cols: {columns}\n  data: {matrix.ravel().tolist()}\n"
+
+    text = f"image_width: {k.width}\nimage_height: {k.height}\ncamera_name: {path.stem}\n"
+    text += block("camera_matrix", k.matrix()) + f"distortion_model: {model}\n"
+    text += block("distortion_coefficients", np.array([k.distortion]))
+    if R is not None:
+        text += block("rectification_matrix", R) + block("projection_matrix", P)
+    path.write_text(text)
+
+
+def opencv(path, **values):
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, value in values.items():
+        storage.write(name, value)
+    storage.release()
+
+
+def convert(folder, *arguments) -> int:
+    return main(["convert-rig", *map(str, arguments), "--output", str(folder / "rig.yaml")])
+
+
+def is_ours(rig, *, atol=1e-9):
+    assert list(rig.sensors) == ["left", "right"]
+    assert (rig.sensors["left"].intrinsics, rig.sensors["right"].intrinsics) == (LEFT, RIGHT)
+    np.testing.assert_array_equal(rig.sensors["left"].T_rig_sensor, np.eye(4))
+    np.testing.assert_allclose(rig.sensors["right"].T_rig_sensor, T_LEFT_RIGHT, rtol=0, atol=atol)
+
+
+def test_a_ros_stereo_pair(tmp_path, capsys):
+    R1, R2, P1, P2 = rectified()
+    ros(tmp_path / "l.yaml", LEFT, R1, P1)
+    ros(tmp_path / "r.yaml", RIGHT, R2, P2)
+    assert convert(tmp_path, f"left={tmp_path / 'l.yaml'}", f"right={tmp_path / 'r.yaml'}") == 0
+    assert capsys.readouterr().out == f"{tmp_path / 'rig.yaml'}: left, right\n"
+    is_ours(load_rig(tmp_path / "rig.yaml"))
+
+
+def test_ros_messages_as_they_are_printed(tmp_path):
+    for name, k in (("left", LEFT), ("right", RIGHT)):
+        text = f"header: {{seq: 1}}\nheight: {k.height}\nwidth: {k.width}\ndistortion_model: plumb_bob\n"
+        text += f"d: {list(k.distortion)}\nk: {k.matrix().ravel().tolist()}\n"
+        (tmp_path / f"{name}.yaml").write_text(text)
+    assert convert(tmp_path, *(f"{n}={tmp_path / n}.yaml" for n in ("left", "right")), "--depth-scale", "5000") == 0
+    rig = load_rig(tmp_path / "rig.yaml")
+    assert rig.sensors["right"].intrinsics == RIGHT and rig.sensors["right"].T_rig_sensor is None
+    assert rig.sensors["left"].depth_scale == 5000.0
+
+
+def test_ros_cameras_calibrated_one_by_one_have_no_known_pose(tmp_path, capsys):
+    for name, k in (("left", LEFT), ("right", RIGHT)):
+        ros(tmp_path / f"{name}.yaml", k, np.eye(3), np.column_stack((k.matrix(), np.zeros(3))))
+    assert convert(tmp_path, *(f"{n}={tmp_path / n}.yaml" for n in ("left", "right"))) == 0
+    assert capsys.readouterr().out.endswith("; the pose of right is unknown\n")
+    assert load_rig(tmp_path / "rig.yaml").sensors["right"].T_rig_sensor is None
+
+
+@pytest.mark.parametrize("suffix", ["yml", "xml", "json"])
+def test_opencv_files_of_each_camera_and_the_stereo_pose_in_millimetres(tmp_path, suffix):
+    for name, k in (("left", LEFT), ("right", RIGHT)):
+        opencv(
+            tmp_path / f"{name}.{suffix}",
+            image_width=k.width,
+            image_height=k.height,
+            camera_matrix=k.matrix(),
+            distortion_coefficients=np.array(k.distortion),
+        )
+    T = inverse_rigid(T_LEFT_RIGHT)
+    opencv(tmp_path / f"extrinsics.{suffix}", R=T[:3, :3], T=1000.0 * T[:3, 3])
+    sensors = [f"{name}={tmp_path / name}.{suffix}" for name in ("left", "right")]
+    assert convert(tmp_path, *sensors, "--stereo", tmp_path / f"extrinsics.{suffix}", "--length-unit", "mm") == 0
+    is_ours(load_rig(tmp_path / "rig.yaml"))
+
+
+def test_an_opencv_stereo_file_without_the_image_size(tmp_path, capsys):
+    path, T = tmp_path / "stereo.yml", inverse_rigid(T_LEFT_RIGHT)
+    cameras = {"M1": LEFT.matrix(), "D1": np.array(LEFT.distortion), "M2": RIGHT.matrix()}
+    opencv(path, **cameras, D2=np.array(RIGHT.distortion), R=T[:3, :3], T=T[:3, 3])
+    arguments = [f"left={path}", f"right={path}", "--stereo", path]
+    assert convert(tmp_path, *arguments) == 1
+    assert capsys.readouterr().err == f"adagmm-fusion: {path}: the image size is not in it; give it with --size\n"
+    assert convert(tmp_path, *arguments, "--size", "640x480") == 0
+    is_ours(load_rig(tmp_path / "rig.yaml"))
+
+
+def test_what_cannot_be_used_is_one_line(tmp_path, capsys):
+    good, fisheye, empty, mirrored, short = (
+        tmp_path / f"{n}.yaml" for n in ("good", "fish", "empty", "mirror", "short")
+    )
+    ros(good, LEFT)
+    ros(fisheye, LEFT, model="equidistant")
+    empty.write_text("camera_name: left\n")
+    ros(short, LEFT)
+    short.write_text(short.read_text().replace("525.0, ", ""))
+    opencv(mirrored, R=np.diag([1.0, 1.0, -1.0]), T=np.zeros(3))
+    (tmp_path / "broken.xml").write_text("<?xml version='1.0'?><opencv_storage><camera_matrix>")
+    for arguments, message in (
+        (["left=nowhere.yaml"], "nowhere.yaml: cannot be read"),
+        (["left"], "SENSOR=FILE: expected different names"),
+        ([f"left={good}", f"left={good}"], "SENSOR=FILE: expected different names"),
+        ([f"left={fisheye}"], "expected plumb_bob or rational_polynomial, got equidistant"),
+        ([f"left={empty}"], "there is no image_width"),
+        ([f"left={short}"], "expected 9 numbers, got 8"),
+        ([f"left={tmp_path / 'broken.xml'}"], "broken.xml: "),
+        (
+            [f"left={mirrored}", "--size", "640x480"],
+            "expected a camera matrix called camera_matrix, cameraMatrix, K or M1",
+        ),
+        ([f"left={good}", "--stereo", mirrored], "--stereo: expected two sensors, got 1"),
+        ([f"left={good}", f"right={good}", "--stereo", mirrored], "not a rotation"),
+        ([f"left={good}", f"right={good}", "--stereo", tmp_path / "no.yml"], "no.yml: "),
+        ([f"l/ft={good}"], "sensor name: expected letters"),
+    ):
+        assert convert(tmp_path, *arguments) == 1, arguments
+        err = capsys.readouterr().err
+        assert err.count("\n") == 1 and message in err
+    assert not (tmp_path / "rig.yaml").exists()

@@ -1,0 +1,361 @@
+"""Every reader against folders of a known room: names, depths, and poses that put the clouds onto each other."""
+
+import json
+
+import numpy as np
+import open3d as o3d
+import pytest
+from depth_scene import (
+    camera_pose,
+    render,
+    write_apc,
+    write_images,
+    write_pose_file,
+    write_redwood,
+    write_seven_scenes,
+    write_tum,
+)
+
+from adagmm_fusion.clouds.building import dense_cloud
+from adagmm_fusion.errors import RecordingError, RigError
+from adagmm_fusion.formats.tum import INTRINSICS as TUM_INTRINSICS
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics
+from adagmm_fusion.recordings.opening import open_recording
+from adagmm_fusion.rigs.rig import Rig, SensorCalibration
+
+SMALL = PinholeIntrinsics(160, 120, 140.0, 141.0, 79.0, 60.5)
+VGA = PinholeIntrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
+POSES = [camera_pose(yaw, (0.05 * i, 0.1 * i, 1.2 + 0.02 * i)) for i, yaw in enumerate((-12.0, 2.0, 14.0))]
+# The writer, the intrinsics it renders with, the depth scale, and the frames' names.
+FORMATS = {
+    "tum": (write_tum, TUM_INTRINSICS["1"], 5000, ["100.000000", "100.333333", "100.666667"]),
+    "redwood": (write_redwood, SMALL, 1000, ["00000", "00001", "00002"]),
+    "7scenes": (write_seven_scenes, VGA, 1000, ["frame-000000", "frame-000001", "frame-000002"]),
+    "posefile": (write_pose_file, SMALL, 1000, ["00000", "00007", "00014"]),
+    "apc": (write_apc, SMALL, 10000, ["frame-000000", "frame-000001", "frame-000002"]),
+}
+
+
+@pytest.fixture(scope="module", params=FORMATS)
+def known(request, tmp_path_factory):
+    """(format, folder, intrinsics, depth scale, names) of a folder in that format."""
+    write, intrinsics, depth_scale, names = FORMATS[request.param]
+    folder = tmp_path_factory.mktemp(request.param)
+    write(folder, POSES, intrinsics)
+    return request.param, folder, intrinsics, depth_scale, names
+
+
+def test_format_is_recognised_and_frames_are_read_back(known):
+    format, folder, intrinsics, depth_scale, names = known
+    recording = open_recording(folder)
+    frames = recording.frames()
+    assert recording.format == format and recording.path == folder
+    assert [frames.name(i) for i in range(len(frames))] == names
+    for i, pose in enumerate(POSES):
+        color, depth = render(intrinsics, pose)
+        frame = frames.frame(i)
+        assert frame.intrinsics == intrinsics and frame.depth_scale == depth_scale
+        assert np.array_equal(frame.color, color)
+        metres = frame.depth_m()
+        assert np.isnan(metres[:8, :8]).all()
+        metres[:8, :8] = depth[:8, :8]
+        np.testing.assert_allclose(metres, depth, rtol=1e-6, atol=0.51 / depth_scale)
+        np.testing.assert_allclose(frames.pose(i), pose, rtol=0, atol=5e-5 if format == "tum" else 1e-6)
+
+
+def test_ground_truth_lays_the_clouds_onto_each_other_and_its_inverse_does_not(known):
+    _, folder, *_ = known
+    recording = open_recording(folder)
+    assert len(recording) == 2
+    for pair in recording:
+        source, target = dense_cloud(pair.source).voxel_down_sample(0.03), dense_cloud(pair.target)
+        medians = []
+        for T in (pair.T_target_source, np.linalg.inv(pair.T_target_source)):
+            moved = o3d.geometry.PointCloud(source).transform(T)
+            medians.append(np.median(moved.compute_point_cloud_distance(target)))
+        # Pixels are up to 2 cm apart on these walls; a wrong convention is decimetres off.
+        assert medians[0] < 0.012 and medians[1] > 0.04
+
+
+def test_steps_and_names_of_pairs(known):
+    _, folder, _, _, names = known
+    pair = open_recording(folder, step=2)[0]
+    assert (pair.source.name, pair.target.name) == (names[2], names[0])
+    assert pair.name == f"{names[2]}_to_{names[0]}" and pair.index == 0
+    with pytest.raises(RecordingError, match="no pair"):
+        open_recording(folder, step=3)
+
+
+def test_a_rig_replaces_intrinsics_and_scale(known):
+    _, folder, intrinsics, *_ = known
+    other = PinholeIntrinsics(intrinsics.width, intrinsics.height, 333.0, 334.0, 80.0, 60.0)
+    rig = Rig("mine", {"anything": SensorCalibration("anything", other, 2000.0, None)})
+    frame = open_recording(folder, rig=rig)[0].source
+    assert frame.intrinsics == other and frame.depth_scale == 2000.0
+    two = {name: SensorCalibration(name, other, 2000.0, None) for name in ("a", "b")}
+    with pytest.raises(RigError, match="no sensor"):
+        open_recording(folder, rig=Rig("two", two))
+
+
+def edited(path, old, new, count=1):
+    text = path.read_text()
+    assert text.count(old) >= 1
+    path.write_text(text.replace(old, new, count))
+
+
+def refused(folder, match, **options):
+    with pytest.raises(RecordingError, match=match) as caught:
+        open_recording(folder, **options)
+    message = str(caught.value)
+    assert message.startswith(str(folder)) and "\n" not in message
+
+
+@pytest.fixture
+def tum(tmp_path):
+    folder = tmp_path / "rgbd_dataset_freiburg1_room"
+    write_tum(folder, POSES[:2], PinholeIntrinsics(32, 24, 30.0, 30.0, 16.0, 12.0))
+    return folder
+
+
+def test_tum_pairs_name_depth_stamps(tum):
+    (tum / "pairs.txt").write_text("# source target\n100.000000 100.333333\n")
+    recording = open_recording(tum)
+    assert recording.pair_name(0) == "100.000000_to_100.333333"
+    (tum / "pairs.txt").write_text("100.000000 100.5\n")
+    refused(tum, r"pairs\.txt:1: no frame has its depth at 100\.500000; the nearest is 100\.333333")
+
+
+def test_tum_pose_is_interpolated_only_where_samples_are_close(tum):
+    edited(tum / "groundtruth.txt", "99.970000", "99.800000")
+    frames = open_recording(tum).frames()
+    assert frames.pose(0) is None and frames.pose(1) is not None
+    assert open_recording(tum).frames().timestamp(0) == 100.0
+    (tum / "groundtruth.txt").unlink()
+    assert open_recording(tum).frames().pose(1) is None
+
+
+def test_tum_pose_at_a_sample_is_the_sample(tum):
+    edited(tum / "groundtruth.txt", "99.970000", "100.000000")
+    pose = open_recording(tum).frames().pose(0)
+    np.testing.assert_allclose(pose[:3, 3], POSES[0][:3, 3] - (0.01, 0.0, 0.02), rtol=0, atol=1e-8)
+
+
+def test_tum_associations_file_in_either_order(tum):
+    first = "99.996000 rgb/99.996000.png 100.000000 depth/100.000000.png\n"
+    second = "100.333333 depth/100.333333.png 100.329333 rgb/100.329333.png\n"
+    (tum / "associations.txt").write_text(second + first)
+    rig = Rig("small", {"k": SensorCalibration("k", PinholeIntrinsics(32, 24, 30.0, 30.0, 16.0, 12.0), 5000, None)})
+    pair = open_recording(tum, rig=rig)[0]
+    assert (pair.target.name, pair.source.name) == ("100.000000", "100.333333")
+    assert pair.target.depth.dtype == np.uint16
+
+
+def test_tum_association_takes_the_nearest_and_each_image_once(tum):
+    # A second colour image nearer to the first depth image takes it; the other one is then left without a partner.
+    write_images(tum / "rgb/100.001.png", tum / "spare.png", PinholeIntrinsics(32, 24, 30, 30, 16, 12), POSES[1], 5000)
+    with open(tum / "rgb.txt", "a") as file:
+        file.write("100.001 rgb/100.001.png\n")
+    entries = open_recording(tum).entries
+    assert len(entries) == 2
+    rig = Rig("small", {"k": SensorCalibration("k", PinholeIntrinsics(32, 24, 30.0, 30.0, 16.0, 12.0), 5000, None)})
+    expected, _ = render(PinholeIntrinsics(32, 24, 30, 30, 16, 12), POSES[1])
+    assert np.array_equal(open_recording(tum, rig=rig).frames().frame(0).color, expected)
+
+
+def test_tum_trimmed_copies_are_read(tum):
+    for path in (tum / "rgb/99.996000.png", tum / "depth/100.000000.png"):
+        path.unlink()
+    refused(tum, "no pair of frames to register, there is 1 frame")
+    for path in (tum / "rgb/100.329333.png", tum / "depth/100.333333.png"):
+        path.unlink()
+    refused(tum, "none of the 2 associated colour and depth images is there")
+
+
+@pytest.mark.parametrize(
+    "file, old, new, match",
+    [
+        ("depth.txt", "100.000000 depth/100.000000.png", "100.000000", r"depth\.txt:3: expected 'timestamp path'"),
+        ("depth.txt", "100.000000 depth", "soon depth", r"depth\.txt:3: expected 1 numbers, got 'soon'"),
+        ("depth.txt", "depth/100.000000.png", "../outside.png", r"depth\.txt:3: .* leads out of the recording"),
+        ("rgb.txt", "rgb/99.996000.png", "rgb/\0.png", r"rgb\.txt:3: .* is not a path that can be used"),
+        ("rgb.txt", "rgb/99.996000.png", "r" * 5000, r"rgb\.txt:3: .* is not a path that can be used"),
+        ("rgb.txt", "rgb/99.996000.png", "/etc/hostname", r"rgb\.txt:3: .* leads out of the recording"),
+        ("groundtruth.txt", "99.970000 ", "99.970000 1 ", r"groundtruth\.txt:2: expected 8 numbers, got 9"),
+        ("groundtruth.txt", "99.970000 ", "nan ", r"groundtruth\.txt:2: expected finite numbers"),
+    ],
+)
+def test_tum_mistakes_are_named_with_file_and_line(tum, file, old, new, match):
+    edited(tum / file, old, new)
+    refused(tum, match)
+
+
+def test_tum_quaternion_must_be_a_unit_one(tum):
+    (tum / "groundtruth.txt").write_text("1 0 0 0 0 0 0 2\n2 0 0 0 0 0 0 1\n")
+    refused(tum, r"groundtruth\.txt:1: expected a unit quaternion")
+
+
+def test_tum_of_an_unknown_sensor_needs_a_rig(tmp_path):
+    folder = tmp_path / "desk"
+    write_tum(folder, POSES[:2], SMALL)
+    edited(folder / "depth.txt", "freiburg1", "my camera")
+    refused(folder, "intrinsics of kinect are not known here; give a rig")
+
+
+@pytest.mark.parametrize("name, number", [("fr2_desk", "2"), ("rgbd_dataset_freiburg3_office", "3")])
+def test_tum_intrinsics_by_the_folders_name(tum, name, number):
+    recording = open_recording(tum.rename(tum.parent / name))
+    assert recording.entries[0].load.args[4] == TUM_INTRINSICS[number]
+
+
+@pytest.fixture
+def redwood(tmp_path):
+    write_redwood(tmp_path, POSES, PinholeIntrinsics(32, 24, 30.0, 30.0, 16.0, 12.0))
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "old, new, match",
+    [
+        ("1 1 2\n", "3 1 2\n", r"trajectory\.log:6: expected a frame index from 0 to 2, got 3"),
+        ("1 1 2\n", "0 1 2\n", r"trajectory\.log:6: frame 0 has a pose already"),
+        ("1 1 2\n", "1 1\n", r"trajectory\.log:6: expected 3 numbers"),
+        ("1 1 2\n", "", r"trajectory\.log: expected five lines a frame, got 14"),
+        ("0.000000000 0.000000000 0.000000000 1.000000000", "0 0 1 1", r"trajectory\.log:1: pose: expected 0 0 0 1"),
+    ],
+)
+def test_redwood_trajectory_mistakes(redwood, old, new, match):
+    edited(redwood / "trajectory.log", old, new)
+    refused(redwood, match)
+
+
+def test_redwood_without_json_is_primesense_and_without_log_has_no_truth(redwood):
+    (redwood / "camera_intrinsic.json").unlink()
+    assert open_recording(redwood).entries[0].load.args[4] == PinholeIntrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
+    (redwood / "trajectory.log").rename(redwood / "poses.log")
+    assert open_recording(redwood).frames().pose(0) is not None
+    (redwood / "odometry.log").write_text("")
+    refused(redwood, "several trajectories")
+    (redwood / "poses.log").unlink()
+    (redwood / "odometry.log").unlink()
+    refused(redwood, "not a recording of a known format")
+    assert open_recording(redwood, format="redwood").frames().pose(0) is None
+
+
+def test_redwood_frames_must_have_partners(redwood):
+    next(redwood.glob("depth/00001-*")).unlink()
+    refused(redwood, r"color: frame 00001 has no partner in depth/")
+
+
+@pytest.mark.parametrize(
+    "content, match",
+    [
+        ("{", "expected width, height and intrinsic_matrix"),
+        ('{"width": 32, "height": 24}', "intrinsic_matrix"),
+        (json.dumps({"width": 32, "height": 24, "intrinsic_matrix": [1, 2, 3]}), "intrinsic_matrix"),
+        (json.dumps({"width": 32, "height": 24, "intrinsic_matrix": [30, 0, 16, 0, 30, 12, 0, 0, 1]}), "camera matrix"),
+        (json.dumps({"width": 0, "height": 24, "intrinsic_matrix": [30, 0, 0, 0, 30, 0, 16, 12, 1]}), "width"),
+    ],
+)
+def test_redwood_intrinsics_mistakes(redwood, content, match):
+    (redwood / "camera_intrinsic.json").write_text(content)
+    refused(redwood, match)
+
+
+@pytest.fixture
+def seven_scenes(tmp_path):
+    write_seven_scenes(tmp_path, POSES[:2], PinholeIntrinsics(32, 24, 30.0, 30.0, 16.0, 12.0))
+    return tmp_path
+
+
+def test_seven_scenes_lost_tracking_is_no_truth(seven_scenes):
+    (seven_scenes / "frame-000001.pose.txt").write_text("-inf " * 15 + "1\n")
+    frames = open_recording(seven_scenes).frames()
+    assert frames.pose(0) is not None and frames.pose(1) is None
+
+
+@pytest.mark.parametrize(
+    "content, match", [("1 0 0", "expected 16 numbers, got 3"), ("here " * 16, "expected 16 numbers")]
+)
+def test_seven_scenes_pose_mistakes(seven_scenes, content, match):
+    (seven_scenes / "frame-000001.pose.txt").write_text(content)
+    refused(seven_scenes, rf"frame-000001\.pose\.txt: {match}")
+
+
+def test_seven_scenes_size_is_checked(seven_scenes):
+    with pytest.raises(RecordingError, match=r"frame-000001\.depth\.png: .*32x24 and the intrinsics are for 640x480"):
+        open_recording(seven_scenes)[0]
+
+
+@pytest.fixture
+def pose_file(tmp_path):
+    write_pose_file(tmp_path, POSES, PinholeIntrinsics(32, 24, 30.0, 30.0, 16.0, 12.0))
+    return tmp_path
+
+
+def test_pose_file_pairs_and_trimmed_copies(pose_file):
+    (pose_file / "pairs.txt").write_text("00014.png 00000.png\n")
+    assert open_recording(pose_file).pair_name(0) == "00014_to_00000"
+    for kind in ("images", "depth"):
+        (pose_file / kind / "00007.png").unlink()
+    frames = open_recording(pose_file).frames()
+    assert len(frames) == 2
+    np.testing.assert_allclose(frames.pose(1), POSES[2], rtol=0, atol=1e-12)
+    (pose_file / "pairs.txt").write_text("00014.png 00007.png\n")
+    refused(pose_file, r"pairs\.txt:1: there is no frame '00007\.png'")
+
+
+@pytest.mark.parametrize(
+    "file, content, match",
+    [
+        ("K.txt", "30 0 16\n0 30 12\n", r"K\.txt: expected 3 lines of 3 numbers, got 2"),
+        ("K.txt", "30 5 16\n0 30 12\n0 0 1\n", r"K\.txt: expected a camera matrix"),
+        ("K.txt", "-30 0 16\n0 30 12\n0 0 1\n", r"K\.txt: intrinsics\.fx"),
+        ("poses.txt", "1 0 0 0\n", r"poses\.txt:1: expected 16 numbers, got 4"),
+        ("poses.txt", " ".join("1" * 16) + "\n", r"poses\.txt:1: pose: "),
+        (
+            "all_frame_names.txt",
+            "00000.png\n",
+            r"poses\.txt: expected 1 poses, as all_frame_names\.txt has names, got 3",
+        ),
+        ("all_frame_names.txt", "../../a.png\nb.png\nc.png\n", r"all_frame_names\.txt:1: .* leads out of the"),
+        ("all_frame_names.txt", "a.png\nb.png\nc.png\n", "none of the 3 images"),
+        ("all_frame_names.txt", "a b\n", r"all_frame_names\.txt:1: expected one image name"),
+    ],
+)
+def test_pose_file_mistakes(pose_file, file, content, match):
+    (pose_file / file).write_text(content)
+    refused(pose_file, match)
+
+
+@pytest.fixture
+def apc(tmp_path):
+    write_apc(tmp_path, POSES[:2], PinholeIntrinsics(32, 24, 30.0, 30.0, 16.0, 12.0))
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "old, new, match",
+    [
+        (
+            "# Color camera intrinsic",
+            "# Colour camera intrinsic",
+            "the heading '# Color camera intrinsic matrix' is missing",
+        ),
+        (" 0.00000000e+00\t 3.00000000e+01", " 3.00000000e+01", r"cam\.info\.txt:6: expected 3 numbers, got 2"),
+        (
+            "\n# Camera-to-world extrinsic matrix (camera pose) for frame-000001",
+            "",
+            r"cam\.info\.txt:10: expected 4 rows",
+        ),
+        (" 0.00000000e+00\t 0.00000000e+00\t 0.00000000e+00\t 1.0", " 1\t 0\t 0\t 1.0", r"cam\.info\.txt:10: pose: "),
+    ],
+)
+def test_apc_mistakes(apc, old, new, match):
+    edited(apc / "cam.info.txt", old, new)
+    refused(apc, match)
+
+
+def test_apc_frame_without_a_pose_has_no_truth(apc):
+    edited(apc / "cam.info.txt", "for frame-000001", "for frame-000007")
+    frames = open_recording(apc).frames()
+    assert frames.pose(0) is not None and frames.pose(1) is None

@@ -1,0 +1,238 @@
+"""Video files: .bag files as librealsense writes them, and .mkv files through a stand-in that answers as Open3D does.
+
+The stand-in replaces the reader class only, which needs libraries and a camera's recording of hundreds of megabytes.
+"""
+
+from types import SimpleNamespace
+
+import numpy as np
+import open3d as o3d
+import pytest
+from depth_scene import camera_pose, render
+from realsense_bag import write_bag
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_typestore
+
+from adagmm_fusion.errors import RecordingError, RigError
+from adagmm_fusion.formats import video
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics, inverse_rigid
+from adagmm_fusion.recordings.opening import open_recording
+from adagmm_fusion.rigs.rig import Rig, SensorCalibration
+from adagmm_o3d import lie
+
+INTRINSICS = PinholeIntrinsics(64, 48, 60.0, 61.0, 31.5, 23.5)
+POSES = {"a": camera_pose(-12.0), "b": camera_pose(14.0, (0.1, 0.5, 1.3))}
+RIG = Rig("two", {name: SensorCalibration(name, INTRINSICS, 1000.0, pose) for name, pose in POSES.items()})
+
+
+@pytest.fixture(autouse=True)
+def nothing_stays_open():
+    video._open.cache_clear()
+    yield
+    video._open.cache_clear()
+
+
+class FakeMKV:
+    """o3d.io.AzureKinectMKVReader over nine captures at 30 a second; every second one lacks an image and is None."""
+
+    def open(self, path):
+        self.sensor = path.rsplit("/", 1)[1][0]
+        return True
+
+    def get_metadata(self):
+        return SimpleNamespace(width=64, height=48, stream_length_usec=300_000)
+
+    def seek_timestamp(self, microseconds):
+        self.index = round(microseconds * 30 / 1e6)
+        return True
+
+    def is_eof(self):
+        return self.index >= 9
+
+    def next_frame(self):
+        self.index += 1
+        if self.index % 2 == 0:
+            return None
+        color, depth = render(INTRINSICS, POSES[self.sensor])
+        stored = np.rint(depth * 1000).astype(np.uint16)
+        return SimpleNamespace(color=o3d.geometry.Image(color), depth=o3d.geometry.Image(stored))
+
+
+@pytest.fixture
+def fake_mkv(monkeypatch):
+    monkeypatch.setattr(o3d.io, "AzureKinectMKVReader", FakeMKV)
+
+
+def files(tmp_path, *names):
+    for name in names:
+        (tmp_path / name).write_bytes(b"")
+    return tmp_path
+
+
+def numbered(sensor, number):
+    """What a sensor sees, with the number of the frame in the first pixel."""
+    color, depth = render(INTRINSICS, POSES[sensor])
+    color[0, 0] = number
+    return color, np.rint(depth * 4000).astype(np.uint16)
+
+
+def bag(tmp_path, sensor="a", count=5, **more):
+    frames = more.pop("frames", [numbered(sensor, i) for i in range(count)])
+    path = tmp_path / f"{sensor}.bag"
+    write_bag(path, frames, INTRINSICS, INTRINSICS, **({"fps": 10, "units": 1 / 4000} | more))
+    return path
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", "bgr8"])
+def test_one_bag_is_one_moving_sensor(tmp_path, encoding):
+    recording = open_recording(bag(tmp_path, color=encoding), step=2)
+    assert (recording.name, recording.format, recording.sensors) == ("a", "video", ("a",))
+    assert [recording.pair_name(i) for i in range(2)] == ["00000200ms_to_00000000ms", "00000400ms_to_00000200ms"]
+    assert recording[0].T_target_source is None
+    for number in (3, 0, 4, 1, 2, 2):  # in any order
+        frame = recording.frames().frame(number)
+        color, depth = numbered("a", number)
+        assert frame.intrinsics == INTRINSICS and frame.depth_scale == 4000.0
+        assert frame.timestamp == pytest.approx(number / 10, rel=1e-9, abs=1e-9)
+        np.testing.assert_array_equal(frame.color, color)
+        np.testing.assert_array_equal(frame.depth, depth)
+
+
+def test_depth_is_registered_to_the_color(tmp_path):
+    depth_camera = PinholeIntrinsics(160, 120, 150.0, 151.0, 79.0, 60.0)
+    color_camera = PinholeIntrinsics(160, 120, 140.0, 140.0, 79.5, 59.5)
+    T_color_depth = lie.se_exp((0.02, -0.03, 0.05, 0.06, 0.01, -0.02))
+    pose = camera_pose(5.0)
+    color, true_depth = render(color_camera, pose)
+    _, depth = render(depth_camera, pose @ T_color_depth)
+    path = tmp_path / "a.bag"
+    frames = [(color, np.rint(1000 * depth).astype(np.uint16))] * 2
+    write_bag(path, frames, depth_camera, color_camera, T_color_depth=T_color_depth)
+    frame = open_recording(path).frames().frame(1)
+    measured = frame.depth_m()
+    known = np.isfinite(measured)
+    assert frame.intrinsics == color_camera and known.mean() > 0.85
+    assert np.median(np.abs(measured - true_depth)[known]) < 0.005
+    assert np.percentile(np.abs(measured - true_depth)[known], 95) < 0.03
+
+
+def test_such_bags_are_what_librealsense_reads(tmp_path):
+    """Open3D's reader, which is librealsense's, tells the same of the file."""
+    reader = o3d.t.io.RSBagReader()
+    assert reader.open(str(bag(tmp_path)))
+    assert (reader.metadata.width, reader.metadata.height, reader.metadata.fps) == (64, 48, 10.0)
+    np.testing.assert_allclose(reader.metadata.intrinsics.intrinsic_matrix, INTRINSICS.matrix(), rtol=1e-6, atol=0)
+    assert reader.metadata.depth_scale == pytest.approx(4000.0, rel=1e-6)
+    image = reader.next_frame()
+    number = int(np.asarray(image.color)[0, 0, 0])
+    np.testing.assert_array_equal(np.asarray(image.color), numbered("a", number)[0])
+
+
+def test_lens_distortion_of_opencvs_model_is_told(tmp_path):
+    bent = PinholeIntrinsics(64, 48, 60.0, 61.0, 31.5, 23.5, (0.1, -0.05, 0.001, -0.002, 0.0))
+    write_bag(tmp_path / "a.bag", [numbered("a", 0)] * 2, INTRINSICS, bent)
+    assert open_recording(tmp_path / "a.bag").frames().frame(0).intrinsics == bent
+
+
+def test_missing_colors(tmp_path):
+    frames = [numbered("a", i) for i in range(5)]
+    for i in (2, 3, 4):
+        frames[i] = (None, frames[i][1])
+    recording = open_recording(bag(tmp_path, frames=frames)).frames()
+    assert recording.frame(2).color[0, 0, 0] == 1  # the one before is near enough
+    with pytest.raises(RecordingError, match=r"a\.bag: the colour nearest to 0\.400 s is 300 ms away"):
+        recording.frame(4)
+
+
+def test_two_files_are_a_pair_of_sensors_whose_poses_the_rig_knows(tmp_path):
+    for sensor in ("b", "a"):
+        bag(tmp_path, sensor)
+    recording = open_recording(tmp_path, rig=RIG, step=3)
+    assert recording.sensors == ("a", "b")
+    assert [p.name for p in recording] == ["00000000ms_b_to_a", "00000300ms_b_to_a"]
+    expected = inverse_rigid(POSES["a"]) @ POSES["b"]
+    np.testing.assert_allclose(recording[0].T_target_source, expected, rtol=0, atol=1e-15)
+    assert open_recording(tmp_path)[0].T_target_source is None
+
+
+def test_mkv_needs_a_rig_for_its_intrinsics(fake_mkv, tmp_path):
+    folder = files(tmp_path, "a.mkv", "b.mkv")
+    with pytest.raises(RecordingError, match=r"a\.mkv: the intrinsics of a are not known here; give a rig"):
+        open_recording(folder)
+    with pytest.raises(RigError, match="no sensor 'b'"):
+        open_recording(folder, rig=Rig("x", {k: SensorCalibration(k, INTRINSICS, 1000.0, None) for k in ("a", "c")}))
+    recording = open_recording(folder, rig=RIG)
+    assert len(recording) == 9
+    color, depth = render(INTRINSICS, POSES["b"])
+    source = recording[1].source
+    assert np.array_equal(source.color, color) and source.timestamp == pytest.approx(1 / 30, rel=1e-12, abs=0)
+    np.testing.assert_allclose(source.depth_m(), depth, rtol=1e-6, atol=0.51e-3)
+
+
+def test_end_of_an_mkv(fake_mkv, tmp_path, monkeypatch):
+    frames = open_recording(files(tmp_path, "a.mkv"), rig=RIG).frames()
+    monkeypatch.setattr(FakeMKV, "is_eof", lambda self: True)
+    with pytest.raises(RecordingError, match=r"a\.mkv: no frame with colour and depth at 0\.133 s or later"):
+        frames.frame(4)
+
+
+def test_colour_formats_that_are_not_known(tmp_path):
+    frames = open_recording(bag(tmp_path, color="yuv422")).frames()
+    with pytest.raises(RecordingError, match="expected Color as rgb8, bgr8, rgba8, bgra8, got 'yuv422'"):
+        frames.frame(0)
+
+
+def test_sensors_of_different_frame_rates_are_no_pair(fake_mkv, tmp_path):
+    bag(tmp_path)
+    with pytest.raises(RecordingError, match=r"b\.mkv: 30 frames a second, but a\.bag has 10"):
+        open_recording(files(tmp_path, "b.mkv"), rig=RIG)
+
+
+def test_a_broken_mkv_is_one_line(tmp_path, capfd):
+    """What Open3D's real reader says; it needs libraries that it does not bring along."""
+    (tmp_path / "a.mkv").write_bytes(bytes(1000))
+    with pytest.raises(RecordingError, match=r"Open3D can(not open it|not read such files here)") as caught:
+        open_recording(tmp_path, rig=RIG)
+    message = str(caught.value)
+    assert message.startswith(str(tmp_path / "a.mkv")) and "\n" not in message and "\x1b" not in message
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("kept", [0, 13, 1000, 0.5, 0.9])
+def test_a_bag_that_is_cut_off_is_one_line(tmp_path, kept):
+    path = bag(tmp_path)
+    data = path.read_bytes()
+    path.write_bytes(data[: kept if kept > 1 or kept == 0 else int(kept * len(data))])
+    with pytest.raises(RecordingError) as caught:
+        open_recording(path)
+    assert str(caught.value).startswith(f"{path}: is no ROS bag, or cut off or damaged") and "\n" not in str(
+        caught.value
+    )
+
+
+def test_a_bag_of_something_else(tmp_path):
+    path = tmp_path / "a.bag"
+    types = get_typestore(Stores.ROS1_NOETIC)
+    with Writer(path) as writer:
+        connection = writer.add_connection("/chatter", "std_msgs/msg/String", typestore=types)
+        text = types.types["std_msgs/msg/String"]("hello")
+        writer.write(connection, 1, bytes(types.serialize_ros1(text, "std_msgs/msg/String")))
+    with pytest.raises(RecordingError, match=r"a\.bag: expected a RealSense recording with Depth_0 images"):
+        open_recording(path)
+
+
+def test_a_build_of_open3d_without_the_mkv_reader(tmp_path, monkeypatch):
+    monkeypatch.delattr(o3d.io, "AzureKinectMKVReader")
+    with pytest.raises(RecordingError, match=r"a\.mkv: this build of Open3D has no reader for it"):
+        open_recording(files(tmp_path, "a.mkv"), rig=RIG)
+
+
+def test_the_real_mkv_reader_has_what_the_stand_in_has():
+    methods = [name for name in vars(FakeMKV) if callable(getattr(FakeMKV, name)) and not name.startswith("_")]
+    assert "next_frame" in methods and all(hasattr(o3d.io.AzureKinectMKVReader, name) for name in methods)
+    assert not hasattr(o3d.io.AzureKinectMKVReader, "get_timestamp")
+
+
+def test_no_video_at_all(tmp_path):
+    with pytest.raises(RecordingError, match=r"expected an \.mkv or \.bag file"):
+        open_recording(tmp_path, format="video")

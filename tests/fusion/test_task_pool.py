@@ -1,0 +1,150 @@
+"""Tasks on local processes and on a real Dask cluster: nothing is lost when workers die."""
+
+import os
+import signal
+import time
+
+import pytest
+
+from adagmm_fusion.processes.task_pool import SchedulerError, TaskFailure, WorkerError, run_tasks
+from adagmm_o3d.errors import InputError
+
+DEAD_SCHEDULER = "tcp://127.0.0.1:9"
+
+
+def square(x):
+    return x * x
+
+
+def refuse(x):
+    raise ValueError(f"no\nto {x}")
+
+
+def threads(_):
+    return os.environ["NUMBA_NUM_THREADS"], os.environ["OMP_NUM_THREADS"]
+
+
+def cores(_):
+    return tuple(os.sched_getaffinity(0))
+
+
+def die_once(task):
+    """Ends its process the first time it sees this task, by a file that remembers."""
+    folder, name = task
+    marker = folder / f"{name}.seen"
+    if not marker.exists():
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return name
+
+
+def die_always(x):
+    if x == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return x
+
+
+def slow_square(x):
+    time.sleep(0.1)
+    return os.getpid(), x * x
+
+
+class Unloadable:
+    """A function whose module a worker cannot import."""
+
+    def __call__(self, x):
+        return x
+
+    def __reduce__(self):
+        return __import__, ("a_module_that_is_nowhere",)
+
+
+def test_every_task_comes_back_once():
+    results = list(run_tasks(square, {str(i): i for i in range(20)}, workers=2))
+    assert len(results) == 20 and dict(results) == {str(i): i * i for i in range(20)}
+
+
+def test_no_tasks_start_no_workers():
+    assert list(run_tasks(square, {}, workers=2)) == []
+
+
+def test_an_error_is_a_failure_in_one_line_and_others_go_on():
+    results = dict(run_tasks(refuse, {"a": 1, "b": 2}, workers=1))
+    assert all(isinstance(result, TaskFailure) for result in results.values())
+    assert results["a"].reason.startswith("ValueError: no to 1 at test_task_pool.py:")
+    assert "\n" not in results["a"].reason
+
+
+def test_workers_have_one_kernel_thread():
+    assert dict(run_tasks(threads, {"a": 0}, workers=1)) == {"a": ("1", "1")}
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="this system does not tie processes to cores")
+def test_workers_keep_to_one_core_each():
+    before = os.sched_getaffinity(0)
+    results = dict(run_tasks(cores, {str(i): i for i in range(12)}, workers=2))
+    assert all(len(cores) == 1 for cores in results.values())
+    assert os.sched_getaffinity(0) == before
+
+
+def test_a_worker_that_dies_loses_nothing(tmp_path):
+    tasks = {str(i): (tmp_path, str(i)) for i in range(2)}
+    assert dict(run_tasks(die_once, tasks, workers=2)) == {name: name for name in tasks}
+
+
+def test_a_task_that_kills_its_workers_is_given_up():
+    results = dict(run_tasks(die_always, {str(i): i for i in range(5)}, workers=1))
+    assert results.pop("3").reason == "its worker died 3 times, exit code -9"
+    assert results == {str(i): i for i in (0, 1, 2, 4)}
+
+
+def test_workers_that_cannot_start_are_an_error_at_once(capfd):
+    with pytest.raises(WorkerError, match="one ended while it started, exit code 1"):
+        list(run_tasks(Unloadable(), {"a": 1}, workers=1))
+    assert "a_module_that_is_nowhere" in capfd.readouterr().err
+
+
+def test_leaving_early_ends_the_workers():
+    results = run_tasks(slow_square, {str(i): i for i in range(50)}, workers=1)
+    _, (pid, _) = next(results)
+    results.close()
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
+@pytest.mark.parametrize("workers", [0, -1])
+def test_fewer_than_one_worker_is_refused(workers):
+    with pytest.raises(InputError, match="workers: expected 1 or more"):
+        list(run_tasks(square, {"a": 1}, workers=workers))
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    distributed = pytest.importorskip("distributed", reason="needs the [distributed] extra")
+    with distributed.LocalCluster(
+        n_workers=3, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
+    ) as local:
+        yield local
+
+
+def test_a_cluster_survives_the_death_of_a_worker_in_mid_run(cluster):
+    tasks = {str(i): i for i in range(40)}
+    results, killed = {}, None
+    for key, (pid, value) in run_tasks(slow_square, tasks, scheduler=cluster.scheduler_address):
+        results[key] = value
+        if killed is None:
+            killed = pid
+            os.kill(pid, signal.SIGKILL)
+    assert results == {key: i * i for key, i in tasks.items()}
+
+
+def test_an_error_on_a_cluster_is_a_failure_in_one_line(cluster):
+    results = dict(run_tasks(refuse, {"a": 1}, scheduler=cluster.scheduler_address))
+    assert results["a"].reason.startswith("ValueError: no to 1")
+
+
+def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
+    pytest.importorskip("distributed", reason="needs the [distributed] extra")
+    monkeypatch.setattr("adagmm_fusion.processes.task_pool.CONNECT_SECONDS", 1)
+    with pytest.raises(SchedulerError, match=DEAD_SCHEDULER):
+        list(run_tasks(square, {"a": 1}, scheduler=DEAD_SCHEDULER))

@@ -1,0 +1,81 @@
+"""Kernels are compiled once for a machine, said to be, and run side by side on stretches of the work."""
+
+import os
+import subprocess
+import sys
+import threading
+
+import numba
+import pytest
+
+from adagmm_o3d.kernels.cpu.compiling import is_compiled
+from adagmm_o3d.kernels.cpu.ranges import run_in_ranges
+
+CHOOSE = """
+import numpy as np
+from adagmm_o3d.kernels.compiling import is_compiled
+from adagmm_o3d.kernels.farthest_points import farthest_points
+
+assert not is_compiled(farthest_points)
+for _ in range(2):
+    farthest_points(np.eye(3), 2, np.empty(3, np.int64))
+    assert is_compiled(farthest_points)
+"""
+
+
+def test_compiling_is_announced_once_and_only_where_there_is_some(tmp_path):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    said = [
+        subprocess.run([sys.executable, "-c", CHOOSE], env=environment, capture_output=True, text=True, check=True)
+        for _ in range(2)
+    ]
+    first, second = ([line for line in outcome.stderr.splitlines() if "compil" in line] for outcome in said)
+    assert first == ["compiling kernels for this machine, once; this takes about half a minute"]
+    assert second == []
+
+
+def test_what_is_not_compiled_by_numba_needs_no_compiling():
+    assert is_compiled(len)
+
+
+@pytest.mark.parametrize("threads", [0, 1, 2, 7])
+@pytest.mark.parametrize("count", [1, 2, 3, 10])
+def test_stretches_cover_everything_once(count, threads):
+    items = list(range(count))
+    run = []
+    run_in_ranges(len, lambda first, last: run.append(items[first:last]), count, threads)
+    assert all(run)
+    assert sorted(item for part in run for item in part) == items
+    allowed = min(threads, count, numba.get_num_threads())
+    assert len(run) == (1 if allowed <= 1 else min(count, 2 * allowed))
+
+
+@pytest.mark.skipif(numba.get_num_threads() == 1, reason="Numba has one thread here")
+def test_stretches_are_shared_by_threads_and_what_goes_wrong_on_another_is_heard():
+    both = threading.Barrier(2, timeout=60)
+
+    def run(first, last):
+        both.wait()
+        if threading.current_thread() is not threading.main_thread():
+            raise ValueError("elsewhere")
+
+    with pytest.raises(ValueError, match="elsewhere"):
+        run_in_ranges(len, run, 2, 2)
+
+
+def test_an_interrupt_leaves_the_other_stretches_alone():
+    run = []
+
+    def interrupted(first, last):
+        run.append(first)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_in_ranges(len, interrupted, 100, 2)
+    assert len(run) <= 2
+
+
+def test_what_is_not_compiled_yet_is_compiled_on_this_thread():
+    run = []
+    run_in_ranges(numba.njit(lambda x: x), lambda *stretch: run.append((threading.current_thread(), *stretch)), 8, 2)
+    assert run == [(threading.main_thread(), 0, 8)]

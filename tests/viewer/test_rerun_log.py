@@ -1,0 +1,431 @@
+"""What is logged, read back from the file: entities, counts, poses, images, blueprint, size."""
+
+import argparse
+import subprocess
+from dataclasses import dataclass
+
+import numpy as np
+import open3d as o3d
+import pytest
+import rerun as rr
+from registered_scene import INTRINSICS, ITERATIONS, known_estimate, room_clouds, room_mesh, room_pair
+from rerun.chunk import RrdReader
+
+from adagmm_fusion.errors import OutputError
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame, RGBDPair
+from adagmm_fusion.rerun_log import (
+    Eye,
+    Limits,
+    RegistrationLogger,
+    SummaryRow,
+    add_rerun_arguments,
+    dashboard,
+    log_pair,
+    log_recording_properties,
+    log_recording_summary,
+    log_refused_pair,
+    open_stream,
+)
+from adagmm_fusion.rerun_log.picture import RERUN
+from adagmm_o3d import registration_adaptive_gmm
+
+MEGABYTE = 1e6
+
+
+@pytest.fixture(autouse=True)
+def strict():
+    rr.set_strict_mode(True)
+    yield
+    rr.set_strict_mode(False)
+
+
+def arguments(*words) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    add_rerun_arguments(parser)
+    return parser.parse_args([str(word) for word in words])
+
+
+def save(path, log, blueprint=None):
+    with open_stream(arguments("--save", path), "test", blueprint) as rec:
+        log(rec)
+    return path
+
+
+@dataclass
+class Rows:
+    """All rows of one entity's component, in the order of its timeline; None for static ones."""
+
+    times: np.ndarray | None
+    values: list
+
+
+def rows(path, entity: str, component: str, timeline: str | None = None) -> Rows:
+    times, values = [], []
+    for chunk in RrdReader(path).stream().to_chunks():
+        if chunk.entity_path != f"/{entity}" or chunk.is_static != (timeline is None):
+            continue
+        batch = chunk.to_record_batch()
+        if component not in batch.schema.names or (timeline and timeline not in batch.schema.names):
+            continue
+        values += batch.column(component).to_pylist()
+        if timeline:
+            times += batch.column(timeline).to_pylist()
+    if timeline is None:
+        return Rows(None, values)
+    order = np.argsort(times, kind="stable")
+    return Rows(np.array(times)[order], [values[i] for i in order])
+
+
+def poses(path, timeline: str) -> tuple[np.ndarray, np.ndarray]:
+    translation = rows(path, "world/source", "Transform3D:translation", timeline)
+    rotation = rows(path, "world/source", "Transform3D:mat3x3", timeline)
+    np.testing.assert_array_equal(translation.times, rotation.times)
+    T = np.tile(np.eye(4), (len(translation.values), 1, 1))
+    T[:, :3, 3] = np.reshape(translation.values, (-1, 3))
+    T[:, :3, :3] = np.reshape(rotation.values, (-1, 3, 3)).transpose(0, 2, 1)  # column-major on the wire
+    return translation.times, T
+
+
+def verify(path):
+    done = subprocess.run([RERUN, "rrd", "verify", path], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.fixture(scope="module")
+def one_pair(tmp_path_factory):
+    path = tmp_path_factory.mktemp("one") / "pair.rrd"
+    free = (np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0]),)
+    estimate = known_estimate(unobservable=free)
+    return save(path, lambda rec: log_pair(rec, room_pair(), *room_clouds(), estimate, fused=room_mesh()), dashboard())
+
+
+@pytest.fixture(scope="module")
+def three_pairs(tmp_path_factory):
+    path = tmp_path_factory.mktemp("many") / "pairs.rrd"
+
+    def log(rec):
+        em_step = 0
+        for frame in (0, 1):
+            em_step = log_pair(
+                rec,
+                room_pair(frame),
+                *room_clouds(frame),
+                known_estimate(frame, off=(0.5 * frame, 0.0, 0.0)),
+                frame_index=frame,
+                em_step=em_step,
+                fused=room_mesh(frame, (0.5 * frame, 0.0, 0.0)),
+            )
+        assert (
+            log_refused_pair(rec, "pair_2", "no depth", before=room_pair(1), frame_index=2, em_step=em_step)
+            == em_step + 1
+        )
+        log_recording_summary(
+            rec,
+            [
+                SummaryRow(0, "pair_0", "ok", 0.0, 0.0, 0.7, ITERATIONS, 0.1),
+                SummaryRow(1, "pair_1", "failed", 0.0, 500.0, 0.7, ITERATIONS, 0.1, "500 mm"),
+                SummaryRow(2, "pair_2", "failed", reason="no depth"),
+            ],
+        )
+
+    return save(path, log, dashboard(many_pairs=True))
+
+
+def test_files_verify_and_leave_nothing_beside_them(one_pair, three_pairs):
+    for path in (one_pair, three_pairs):
+        verify(path)
+        assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+def test_entities_of_a_pair(one_pair):
+    below_sensor = ("points", "covariances", "shape", "image", "image/rgb", "image/depth")
+    expected = {f"/world/{sensor}/{entity}" for sensor in ("target", "source") for entity in below_sensor}
+    expected |= {f"/metrics/{m}" for m in ("energy", "sigma", "rotation_error_deg", "translation_error_mm")}
+    expected |= {f"/world/{w}" for w in ("target", "source", "initial/source", "initial/source/shape")}
+    expected |= {f"/world/{w}" for w in ("truth/source", "truth/source/image", "initial/source/image", "difference")}
+    expected |= {
+        "/world",
+        "/world/fused",
+        "/world/unobservable",
+        "/world/target/image/overlay",
+        "/world/target/image/checkerboard",
+    }
+    expected |= {"/report", "/log", "/diagnostics/residual_histogram"}
+    assert expected <= set(RrdReader(one_pair).store().schema().entity_paths())
+
+
+def test_one_transform_for_each_iteration_and_the_start(one_pair):
+    times, T = poses(one_pair, "iteration")
+    np.testing.assert_array_equal(times, np.arange(ITERATIONS + 1))
+    np.testing.assert_allclose(T, known_estimate().transformations, rtol=1e-6, atol=1e-6)
+    chunks = [c for c in RrdReader(one_pair).stream().to_chunks() if c.entity_path == "/world/source"]
+    assert [chunk.num_rows for chunk in chunks] == [ITERATIONS + 1]
+
+
+def test_clouds_are_logged_once_in_their_own_frame(one_pair):
+    for entity, cloud in zip(("source", "target"), room_clouds(), strict=True):
+        positions = rows(one_pair, f"world/{entity}/points", "Points3D:positions")
+        assert len(positions.values) == 1
+        np.testing.assert_allclose(positions.values[0], np.asarray(cloud.points), rtol=1e-6, atol=1e-6)
+        colors = rows(one_pair, f"world/{entity}/points", "Points3D:colors").values[0]
+        assert len(colors) == len(cloud.points)
+        expected = np.floor(255.0 * np.asarray(cloud.colors) + 0.5).astype(np.uint32)
+        np.testing.assert_array_equal(np.array(colors, np.uint32) >> 24, expected[:, 0])
+        assert rows(one_pair, f"world/{entity}/points", "Points3D:positions", "iteration").values == []
+
+
+def test_every_layer_has_a_color_for_every_point(one_pair):
+    source, target = room_clouds()
+    for entity, cloud, layers in (
+        ("source", source, ("WeightShare", "ResidualMm", "Overlap")),
+        ("target", target, ("Dimmed",)),
+    ):
+        for layer in layers:
+            (colors,) = rows(one_pair, f"world/{entity}/points", f"{layer}:colors").values
+            assert len(colors) == len(cloud.points), (entity, layer)
+
+
+def test_curves(one_pair):
+    estimate = known_estimate()
+    for entity, expected in (("energy", estimate.energies), ("sigma", estimate.sigmas)):
+        curve = rows(one_pair, f"metrics/{entity}", "Scalars:scalars", "iteration")
+        np.testing.assert_array_equal(curve.times, np.arange(1, ITERATIONS + 1))
+        np.testing.assert_allclose(np.ravel(curve.values), expected, rtol=1e-12, atol=0.0)
+    degrees = rows(one_pair, "metrics/rotation_error_deg", "Scalars:scalars", "iteration")
+    np.testing.assert_array_equal(degrees.times, np.arange(ITERATIONS + 1))
+    np.testing.assert_allclose(np.ravel(degrees.values), np.linspace(15.0, 0.0, ITERATIONS + 1), rtol=1e-6, atol=1e-5)
+    millimetres = np.ravel(rows(one_pair, "metrics/translation_error_mm", "Scalars:scalars", "iteration").values)
+    start = 1000.0 * np.linalg.norm(room_pair().T_target_source[:3, 3])
+    np.testing.assert_allclose(millimetres, np.linspace(start, 0.0, ITERATIONS + 1), rtol=1e-6, atol=1e-6)
+
+
+def test_images_are_compressed_and_depth_keeps_its_unit(one_pair):
+    for sensor in ("target", "source"):
+        (kind,) = rows(one_pair, f"world/{sensor}/image/rgb", "EncodedImage:media_type").values
+        assert kind == ["image/jpeg"]
+        (meter,) = rows(one_pair, f"world/{sensor}/image/depth", "EncodedDepthImage:meter").values
+        assert meter == [1000.0]
+        (resolution,) = rows(one_pair, f"world/{sensor}/image", "Pinhole:resolution").values
+        assert resolution == [[INTRINSICS.width, INTRINSICS.height]]
+        assert rows(one_pair, f"world/{sensor}", "Pinhole:resolution").values == []
+
+
+def test_ellipsoids_shrink_with_sigma(one_pair):
+    sizes = rows(one_pair, "world/source/covariances", "Ellipsoids3D:half_sizes", "iteration")
+    assert len(sizes.values) == ITERATIONS
+    first, last = (np.array(sizes.values[i]) for i in (0, -1))
+    sigmas = known_estimate().sigmas
+    np.testing.assert_allclose(first / last, np.sqrt(sigmas[0] / sigmas[-1]), rtol=1e-5, atol=0.0)
+    # Kinect covariances, Eq. 6, lie between exp(0) and exp(w1 + w2 d) for points up to d metres away.
+    assert np.sqrt(sigmas[0]) <= first.min() and first.max() <= np.sqrt(sigmas[0] * np.exp(1.67 + 0.28 * 6.0))
+
+
+def test_the_fused_mesh_carries_its_texture(one_pair):
+    (buffer,) = rows(one_pair, "world/fused", "Mesh3D:albedo_texture_buffer").values
+    assert bytes(buffer[0]) == room_mesh().texture.tobytes()
+    (uvs,) = rows(one_pair, "world/fused", "Mesh3D:vertex_texcoords").values
+    np.testing.assert_array_equal(np.float32(uvs), room_mesh().uvs)
+
+
+def test_shapes_before_and_after_are_the_same_in_one_color_each(one_pair):
+    positions = [
+        rows(one_pair, f"world/{entity}/shape", "Mesh3D:vertex_positions").values[0]
+        for entity in ("source", "initial/source", "target")
+    ]
+    assert positions[0] == positions[1] != positions[2]
+    (colors,) = rows(one_pair, "world/source/shape", "Mesh3D:vertex_colors").values
+    red, green, blue = (np.array(colors, np.uint32) >> shift & 255 for shift in (24, 16, 8))
+    assert len(colors) == len(positions[0]) and (red > green).all() and (green > blue).all()
+
+
+def test_blueprint_travels_with_the_file(one_pair, three_pairs):
+    for path, page in ((one_pair, "Pair"), (three_pairs, "Summary")):
+        (blueprint,) = RrdReader(path).blueprints()
+        names = set()
+        for chunk in RrdReader(path).stream(store=blueprint).to_chunks():
+            batch = chunk.to_record_batch()
+            for column in ("ViewBlueprint:display_name", "ContainerBlueprint:display_name"):
+                if column in batch.schema.names:
+                    names |= {name for row in batch.column(column).to_pylist() for name in row or ()}
+        assert {"Before: target blue, source orange", "After", "Energy", "Report", "Why", page} <= names
+
+
+def test_report_says_how_it_went(one_pair, three_pairs):
+    (text,) = rows(one_pair, "report", "TextDocument:text").values
+    assert (
+        text[0].startswith("# ✔ Registered: 0.00° and 0 mm off")
+        and "| rotation error [°] | 15.00 | **0.00** |" in text[0]
+    )
+    reports = rows(three_pairs, "report", "TextDocument:text", "frame")
+    assert [report[0].splitlines()[0] for report in reports.values] == [
+        "# ✔ Registered: 0.00° and 0 mm off",
+        "# × Failed: 0.00° and 500 mm off",
+        "# × Failed: no depth",
+    ]
+
+
+def test_frames_show_results_and_em_steps_run_through_all_pairs(three_pairs):
+    frames, T = poses(three_pairs, "frame")
+    np.testing.assert_array_equal(frames, [0, 1])
+    ends = [known_estimate(0).transformation, known_estimate(1, off=(0.5, 0.0, 0.0)).transformation]
+    np.testing.assert_allclose(T, ends, rtol=1e-6, atol=1e-6)
+    steps, T = poses(three_pairs, "em_step")
+    np.testing.assert_array_equal(steps, np.arange(2 * (ITERATIONS + 1)))
+    np.testing.assert_allclose(
+        T[ITERATIONS + 1 :], known_estimate(1, off=(0.5, 0, 0)).transformations, rtol=1e-6, atol=1e-6
+    )
+    points = rows(three_pairs, "world/source/points", "Points3D:positions", "frame")
+    assert [len(p) for p in points.values] == [len(room_clouds(frame)[0].points) for frame in (0, 1)]
+
+
+def test_charts_hold_the_curve_of_the_pair(three_pairs):
+    charts = rows(three_pairs, "charts/rotation_error_deg", "BarChart:values", "frame")
+    assert charts.times.tolist() == [0, 1]
+    for frame, chart in enumerate(charts.values):
+        expected = np.linspace(15.0 + 5.0 * frame, 0.0, ITERATIONS + 1)
+        np.testing.assert_allclose(chart[0]["buffer"], expected, rtol=1e-6, atol=1e-5)
+
+
+def test_a_refused_pair_hides_the_one_before(three_pairs):
+    cleared = rows(three_pairs, "world", "Clear:is_recursive", "frame")
+    assert (cleared.times.tolist(), cleared.values) == ([2], [[True]])
+
+
+def test_summary_is_sorted_with_the_worst_first(three_pairs):
+    (text,) = rows(three_pairs, "summary/table", "TextDocument:text").values
+    assert "1 of 3 pairs registered" in text[0]
+    names = [line.split(" | ")[1] for line in text[0].splitlines() if line.startswith("| ")][1:]
+    assert names == ["pair_2", "pair_1", "pair_0"]
+    (bars,) = rows(three_pairs, "summary/translation_error_mm/failed", "BarChart:values").values
+    assert bars[0]["buffer"] == [500.0]
+
+
+def test_properties(tmp_path):
+    def log(rec):
+        log_recording_properties(rec, recording="room", sensors=["left", "right"], parameters={"voxel_size_m": 0.03})
+
+    path = save(tmp_path / "properties.rrd", log)
+    assert rows(path, "__properties/input", "sensors").values == [["left", "right"]]
+    assert rows(path, "__properties/parameters", "voxel_size_m").values == [["0.03"]]
+
+
+def test_a_vga_pair_of_50_iterations_stays_within_its_budget(tmp_path):
+    pair, intrinsics = room_pair(), PinholeIntrinsics(640, 480, 560.0, 560.0, 319.5, 239.5)
+    rng = np.random.default_rng(5)
+
+    def enlarged(frame):
+        color = np.kron(frame.color, np.ones((4, 4, 1), np.uint8)) ^ rng.integers(0, 16, (480, 640, 3), dtype=np.uint8)
+        depth = np.kron(frame.depth, np.ones((4, 4), np.uint16)) + rng.integers(0, 9, (480, 640), dtype=np.uint16)
+        return RGBDFrame(frame.name, color, depth, intrinsics, 1000.0, frame.sensor)
+
+    vga = RGBDPair("vga", enlarged(pair.source), enlarged(pair.target), pair.T_target_source, 0)
+    path = tmp_path / "vga.rrd"
+    save(path, lambda rec: log_pair(rec, vga, *room_clouds(), known_estimate(iterations=50)), dashboard())
+    assert path.stat().st_size <= 15.0 * MEGABYTE
+
+
+def test_callback_of_a_script(tmp_path):
+    source, target = room_clouds()
+    estimate, T_truth = known_estimate(), room_pair().T_target_source
+
+    def log(rec):
+        logger = RegistrationLogger(rec, source, target, T_truth=T_truth)
+        for i, T in enumerate(estimate.transformations[1:]):
+            values = {"transformation": T, "sigma": estimate.sigmas[i], "energy": estimate.energies[i], "fitness": 0.5}
+            logger({"iteration_index": i, "inlier_rmse": 0.01, **values})
+
+    path = save(tmp_path / "script.rrd", log)
+    verify(path)
+    times, T = poses(path, "iteration")
+    np.testing.assert_array_equal(times, np.arange(ITERATIONS + 1))
+    np.testing.assert_allclose(T, estimate.transformations, rtol=1e-6, atol=1e-6)
+    sigmas = rows(path, "metrics/sigma", "Scalars:scalars", "iteration")
+    np.testing.assert_allclose(np.ravel(sigmas.values), estimate.sigmas, rtol=1e-12, atol=0.0)
+    for entity, n in (
+        ("source", len(source.points)),
+        ("initial/source", len(source.points)),
+        ("target", len(target.points)),
+    ):
+        assert [len(p) for p in rows(path, f"world/{entity}/points", "Points3D:positions").values] == [n]
+        assert [len(c) for c in rows(path, f"world/{entity}/points", "Shape:colors").values] == [n]
+    assert len(RrdReader(path).blueprints()) == 1
+
+
+@pytest.mark.parametrize("kind", ["legacy", "tensor"])
+def test_callback_of_a_real_registration(tmp_path, kind):
+    source, target = room_clouds()
+    if kind == "tensor":
+        source, target = (o3d.t.geometry.PointCloud.from_legacy(cloud) for cloud in (source, target))
+    results = []
+
+    def log(rec):
+        logger = RegistrationLogger(rec, source, target, T_truth=room_pair().T_target_source)
+        results.append(registration_adaptive_gmm(source, target, 0.1, callback_after_iteration=logger))
+
+    path = save(tmp_path / "real.rrd", log)
+    details = results[0].details
+    times, T = poses(path, "iteration")
+    assert times[0] == 0 and times[-1] == details.iterations
+    np.testing.assert_allclose(T[-1], details.transformation, rtol=1e-5, atol=1e-5)
+    sigmas = rows(path, "metrics/sigma", "Scalars:scalars", "iteration")
+    np.testing.assert_allclose(sigmas.values[-1], details.sigma, rtol=1e-9, atol=0.0)
+    degrees = rows(path, "metrics/rotation_error_deg", "Scalars:scalars", "iteration").values
+    assert degrees[0][0] == pytest.approx(15.0, rel=1e-6, abs=0.0) and degrees[-1][0] < 1.0
+
+
+def test_report_counts_partners_and_contradictions(tmp_path):
+    estimate = known_estimate(off=(0.0, 0.2, -0.2))
+    path = save(tmp_path / "off.rrd", lambda rec: log_pair(rec, room_pair(), *room_clouds(), estimate))
+    (text,) = rows(path, "report", "TextDocument:text").values
+    shares = {line.split("|")[1].strip(): line.split("|")[3].strip() for line in text[0].splitlines() if "[%]" in line}
+    assert shares.pop("overlap, as estimated [%]") == "70"
+    within, contradicted = (int(share) for share in shares.values())
+    assert within < 50 and contradicted > 10
+
+
+def test_verdict_follows_the_limits(tmp_path):
+    estimate = known_estimate(off=(0.05, 0.0, 0.0))
+    for millimetres, verdict in ((60.0, "✔ Registered"), (40.0, "× Failed")):
+        path = save(
+            tmp_path / f"{millimetres}.rrd",
+            lambda rec, mm=millimetres: log_pair(
+                rec, room_pair(), *room_clouds(), estimate, limits=Limits(translation_mm=mm)
+            ),
+        )
+        (text,) = rows(path, "report", "TextDocument:text").values
+        assert text[0].startswith(f"# {verdict}: 0.00° and 50 mm off")
+
+
+def test_a_pair_that_was_not_registered_shows_its_start(tmp_path):
+    def log(rec):
+        assert log_pair(rec, room_pair(), *room_clouds(), None, status="failed", reason="no overlap") == 1
+
+    path = save(tmp_path / "none.rrd", log)
+    verify(path)
+    (text,) = rows(path, "report", "TextDocument:text").values
+    assert text[0].startswith("# × Failed: no overlap")
+    (translation,) = rows(path, "world/source", "Transform3D:translation").values
+    assert translation == [[0.0, 0.0, 0.0]]
+
+
+def test_an_interrupted_run_leaves_no_half_written_file(tmp_path):
+    with pytest.raises(RuntimeError, match="stop"), open_stream(arguments("--save", tmp_path / "x.rrd"), "x") as rec:
+        log_pair(rec, room_pair(), *room_clouds(), known_estimate())
+        raise RuntimeError("stop")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    path = tmp_path / "file" / "x.rrd"
+    with pytest.raises(OutputError, match=f"^{path}: cannot be written"), open_stream(arguments("--save", path), "x"):
+        pass
+
+
+def test_eye_looks_at_what_the_target_saw():
+    target = np.asarray(room_clouds()[1].points)
+    for eye in (Eye.behind(target), Eye.around(target)):
+        towards = np.array(eye.look_target) - np.array(eye.position)
+        directions = target - np.array(eye.position)
+        cosines = directions @ towards / np.linalg.norm(directions, axis=1) / np.linalg.norm(towards)
+        assert np.mean(cosines > np.cos(np.radians(35.0))) > 0.95

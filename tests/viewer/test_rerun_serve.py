@@ -1,0 +1,106 @@
+"""`--serve`: loopback only, shown by a real browser, and gone with the process that started it."""
+
+import argparse
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+from browser import browser_page, find_browser
+
+from adagmm_fusion.errors import OutputError
+from adagmm_fusion.rerun_log import add_rerun_arguments, open_stream
+from adagmm_fusion.rerun_log.streams import free_port
+
+SUPPORT = Path(__file__).parents[1] / "support"
+BROWSER_SECONDS = 150.0
+SERVE = """
+import argparse
+import numpy as np
+from registered_scene import known_estimate, room_clouds, room_pair
+from adagmm_fusion.rerun_log import Eye, add_rerun_arguments, dashboard, log_pair, open_stream
+
+parser = argparse.ArgumentParser()
+add_rerun_arguments(parser)
+eye = Eye.behind(np.asarray(room_clouds()[1].points))
+with open_stream(parser.parse_args(["--serve"]), "room", dashboard(eye=eye)) as rec:
+    log_pair(rec, room_pair(), *room_clouds(), known_estimate())
+"""
+
+
+@pytest.fixture
+def serving():
+    path = os.pathsep.join([str(SUPPORT), os.environ.get("PYTHONPATH", "")])
+    process = subprocess.Popen(
+        [sys.executable, "-c", SERVE],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        env={**os.environ, "PYTHONPATH": path},
+    )
+    try:
+        line = process.stdout.readline()
+        address = re.search(r"http://\S+", line)
+        assert address, line
+        yield process, address.group()
+    finally:
+        process.terminate()
+        process.wait(timeout=30)
+
+
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
+def test_only_loopback_listens_and_the_server_ends_with_us(serving, ending):
+    process, address = serving
+    assert address.startswith("http://127.0.0.1:")
+    family = psutil.Process(process.pid).children(recursive=True)
+    listening = [c.laddr for p in family for c in p.net_connections() if c.status == psutil.CONN_LISTEN]
+    assert len(listening) == 2
+    assert {place.ip for place in listening} == {"127.0.0.1"}
+    process.send_signal(ending)
+    assert process.wait(timeout=30) in {signal.SIGINT: (0, -signal.SIGINT), signal.SIGTERM: (143,)}[ending]
+    gone, alive = psutil.wait_procs(family, timeout=10)
+    assert alive == [] and len(gone) == len(family)
+
+
+@pytest.mark.parametrize(
+    "url", [f"rerun+http://127.0.0.1:{free_port()}/proxy", "nonsense", "http://127.0.0.1:port/proxy"]
+)
+def test_no_viewer_where_one_was_expected(url):
+    parser = argparse.ArgumentParser()
+    add_rerun_arguments(parser)
+    with pytest.raises(OutputError, match=f"^{re.escape(url)}: "), open_stream(parser.parse_args(["--url", url]), "x"):
+        pass
+
+
+def test_a_taken_port_is_named():
+    parser = argparse.ArgumentParser()
+    add_rerun_arguments(parser)
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = str(taken.getsockname()[1])
+        args = parser.parse_args(["--serve", "--port", port])
+        with pytest.raises(OutputError, match=f"^--port: cannot listen on 127.0.0.1:{port}: "), open_stream(args, "x"):
+            pass
+
+
+@pytest.mark.skipif(find_browser() is None, reason="no Chromium is installed (Debian: chromium)")
+def test_a_browser_shows_both_clouds(serving, tmp_path):
+    _, address = serving
+    with browser_page(find_browser(), tmp_path / "profile") as page:
+        page.open(address)
+        give_up = time.monotonic() + BROWSER_SECONDS
+        orange = blue = 0.0
+        while min(orange, blue) < 0.01:
+            assert time.monotonic() < give_up, f"no clouds after {BROWSER_SECONDS:g} s: {orange:.3f}, {blue:.3f}"
+            time.sleep(1.0)
+            red, green, blues = np.moveaxis(page.screenshot().astype(int), 2, 0)
+            orange = np.mean((red > blues + 60) & (red > green + 20))
+            blue = np.mean((blues > red + 60) & (blues > green + 20))

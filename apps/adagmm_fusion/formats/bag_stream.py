@@ -21,8 +21,9 @@ from scipy.spatial.transform import Rotation
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.frames.depth_registration import register_depth
-from adagmm_fusion.frames.rgbd import PinholeIntrinsics, inverse_rigid
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics, checked_rigid_transformation
 from adagmm_o3d.errors import InputError
+from adagmm_o3d.lie import se_inverse
 
 STREAM_INFO = "uint32 fps\nstring encoding\nbool is_recommended\n"
 DEPTH_ENCODINGS = ("mono16", "16UC1")
@@ -58,7 +59,7 @@ class BagStream:
         self.fps = float(self._first(f"{depth}/info").fps)
         self.depth_scale = self._depth_scale(depth)
         self._depth_intrinsics, self.intrinsics = self._intrinsics(depth), self._intrinsics(color)
-        self._T_color_depth = self._T_stream_common(color) @ inverse_rigid(self._T_stream_common(depth))
+        self._T_color_depth = self._T_stream_common(color) @ se_inverse(self._T_stream_common(depth))
         if self.fps <= 0:
             raise RecordingError(f"{path}: expected a positive frame rate, got {self.fps:g}")
         self.seconds = (self._times["Depth"][-1] - self._times["Depth"][0]) / 1e9 + 1.0 / self.fps
@@ -135,7 +136,10 @@ class BagStream:
         except ValueError as problem:
             raise RecordingError(f"{self.path}: {stream}/tf/0: expected a rotation, got {quaternion}") from problem
         T[:3, 3] = tf.translation.x, tf.translation.y, tf.translation.z
-        return T
+        try:
+            return checked_rigid_transformation(T, "pose")
+        except InputError as problem:
+            raise RecordingError(f"{self.path}: {stream}/tf/0: {problem}") from problem
 
     def _image(self, name: str, time: int) -> np.ndarray:
         """(H, W) uint16 depth, or (H, W, 3) uint8 RGB."""

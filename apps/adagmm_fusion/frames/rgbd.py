@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adagmm_o3d.errors import InputError, InputTypeError
+from adagmm_o3d.lie import project_to_rotation
 
 DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 MAX_COORDINATE = 1e12  # metres; products of a few such numbers are finite
@@ -37,9 +38,11 @@ def checked_rigid_transformation(transformation, name: str, *, tolerance: float 
         raise InputError(f"{name}: expected 0 0 0 1 in the last row, got {' '.join(f'{x:g}' for x in T[3])}")
     if np.abs(T).max() > MAX_COORDINATE:
         raise InputError(f"{name}: expected numbers up to {MAX_COORDINATE:g}, got {np.abs(T).max():g}; check the units")
-    left, _, right = np.linalg.svd(T[:3, :3])
-    rotation = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
-    off = np.abs(T[:3, :3] - rotation).max()
+    try:
+        rotation = project_to_rotation(T[:3, :3])
+        off = np.abs(T[:3, :3] - rotation).max()
+    except InputError:  # no rotation is nearest
+        off = np.inf
     if off > tolerance:
         determinant = np.linalg.det(T[:3, :3])
         raise InputError(
@@ -50,14 +53,6 @@ def checked_rigid_transformation(transformation, name: str, *, tolerance: float 
         T[:3, :3] = rotation
     T[3] = (0.0, 0.0, 0.0, 1.0)
     return T
-
-
-def inverse_rigid(T: np.ndarray) -> np.ndarray:
-    """The inverse of a (4, 4) rigid transformation, rigid again."""
-    inverse = np.eye(4)
-    inverse[:3, :3] = T[:3, :3].T
-    inverse[:3, 3] = -T[:3, :3].T @ T[:3, 3]
-    return inverse
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 import open3d as o3d
 
-from adagmm_fusion.frames.rgbd import RGBDFrame, inverse_rigid
+from adagmm_fusion.frames.rgbd import RGBDFrame
 from adagmm_fusion.meshes.pinhole_images import pinhole_images
+from adagmm_o3d.lie import se_inverse
 
 # A point counts as seen if no surface lies farther than this before it: where sensors disagree the mesh is in between.
 HIDDEN_BY_M, HIDDEN_BY_SHARE = 0.03, 0.02
@@ -76,7 +77,7 @@ def texture_view(
 ) -> TextureView:
     """A frame as a photograph of the surface in `scene`, with rays cast through its pixels."""
     measured, color = pinhole_images(frame, max_depth_m)
-    T_camera_world, K = inverse_rigid(T_world_camera), frame.intrinsics.matrix()
+    T_camera_world, K = se_inverse(T_world_camera), frame.intrinsics.matrix()
     height, width = measured.shape
     rays = scene.create_rays_pinhole(o3d.core.Tensor(K), o3d.core.Tensor(T_camera_world), width, height)
     hits = scene.cast_rays(rays)

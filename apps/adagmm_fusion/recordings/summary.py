@@ -7,10 +7,11 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from adagmm_fusion.frames.rgbd import PinholeIntrinsics, inverse_rigid
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.recordings.frame_sequence import FrameEntry, Recording
 from adagmm_o3d.errors import AdaGMMError
 from adagmm_o3d.evaluation import pose_errors
+from adagmm_o3d.lie import se_inverse
 
 
 @dataclass
@@ -81,7 +82,7 @@ def summarize_recording(
             offsets.append(times[0] - times[1])
         T = pair.T_target_source
         if T is None and source.T_world_camera is not None and target.T_world_camera is not None:
-            T = inverse_rigid(target.T_world_camera) @ source.T_world_camera
+            T = se_inverse(target.T_world_camera) @ source.T_world_camera
         if T is not None:
             apart = pose_errors(np.eye(4), T)
             rotations.append(apart.rotation_deg)

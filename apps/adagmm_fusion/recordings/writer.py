@@ -13,9 +13,10 @@ from adagmm_fusion.errors import OutputError, RecordingError
 from adagmm_fusion.files.atomic_file import write_text
 from adagmm_fusion.files.output_folder import exclusive
 from adagmm_fusion.formats.own import FORMAT, FRAME_NAME, MANIFEST, VERSION
-from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame, inverse_rigid
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame
 from adagmm_fusion.recordings.frame_sequence import FrameEntry, Recording
 from adagmm_fusion.rigs.rig import Rig, SensorCalibration, save_rig
+from adagmm_o3d.lie import se_inverse
 
 RIG_FILE = "rig.yaml"
 # Depth that is not stored as whole units already is stored in millimetres.
@@ -102,7 +103,7 @@ def _extrinsics(recording: Recording, moments) -> tuple[dict[str, np.ndarray | N
             T_world_first, T_world_sensor = entries[first].T_world_camera, entries[sensor].T_world_camera
             if T_world_first is None or T_world_sensor is None:
                 continue
-            relative = inverse_rigid(T_world_first) @ T_world_sensor
+            relative = se_inverse(T_world_first) @ T_world_sensor
             known = extrinsics[sensor]
             if known is None:
                 extrinsics[sensor] = relative

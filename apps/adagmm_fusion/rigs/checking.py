@@ -45,7 +45,7 @@ class SensorCheck:
 
     rotation_deg, translation_mm : how far the mean of the registered poses is from the rig's.
     rotation_spread_deg, translation_spread_mm : root mean square distance of the frames' poses from their mean.
-    T_target_source : that mean, None if fewer than two frames could be used; so are the numbers then.
+    T_target_source : that mean, None if fewer than two frames could be used or they have none; so are the numbers then.
     """
 
     source: str
@@ -115,9 +115,9 @@ def judged(
     """The verdict: unchanged, or moved, only if the mean's uncertainty leaves no doubt about it."""
     frames = tuple(frames)
     poses = [frame.T_target_source for frame in frames if frame.T_target_source is not None]
-    if len(poses) < MIN_FRAMES:
-        return SensorCheck(source, target, UNDECIDED, frames)
     T_mean = mean_pose(poses)
+    if len(poses) < MIN_FRAMES or T_mean is None:
+        return SensorCheck(source, target, UNDECIDED, frames)
     moved = pose_errors(T_rig, T_mean)
     apart = [pose_errors(T_mean, T) for T in poses]
     spread_deg = float(np.sqrt(np.mean([e.rotation_deg**2 for e in apart])))

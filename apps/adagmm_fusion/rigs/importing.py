@@ -23,8 +23,9 @@ from adagmm_fusion.errors import RigError
 from adagmm_fusion.files.input_file import read_input
 from adagmm_fusion.files.opencv_nodes import read_nodes
 from adagmm_fusion.files.strict_yaml import Item, read_yaml
-from adagmm_fusion.frames.rgbd import PinholeIntrinsics, checked_rigid_transformation, inverse_rigid
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics, checked_rigid_transformation
 from adagmm_o3d.errors import InputError
+from adagmm_o3d.lie import se_inverse
 
 ROS_MODELS = ("plumb_bob", "rational_polynomial")
 MATRIX_NAMES = ("camera_matrix", "cameraMatrix", "K")
@@ -68,7 +69,7 @@ def read_stereo_pose(path, metres_per_unit: float) -> np.ndarray:
     T_second_first = np.eye(4)
     T_second_first[:3, :3], T_second_first[:3, 3] = R, metres_per_unit * t.ravel()
     try:
-        return inverse_rigid(checked_rigid_transformation(T_second_first, "R, T"))
+        return se_inverse(checked_rigid_transformation(T_second_first, "R, T"))
     except InputError as problem:
         raise RigError(f"{path}: {problem}") from problem
 

@@ -10,8 +10,9 @@ import numpy as np
 from adagmm_fusion.errors import RigError
 from adagmm_fusion.files.atomic_file import write_text
 from adagmm_fusion.files.strict_yaml import Item, read_yaml
-from adagmm_fusion.frames.rgbd import PinholeIntrinsics, checked_rigid_transformation, inverse_rigid
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics, checked_rigid_transformation
 from adagmm_o3d.errors import InputError
+from adagmm_o3d.lie import se_inverse
 
 FORMAT, VERSION, UNITS, FRAME = "adagmm-rig", 1, "metre", "RDF"
 # Sensor names are folder names in a recording and entity names in the viewer.
@@ -85,7 +86,7 @@ class Rig:
         ------
         RigError  if the rig lacks one of the two sensors, or where one of them is.
         """
-        return inverse_rigid(self._known_pose(target)) @ self._known_pose(source)
+        return se_inverse(self._known_pose(target)) @ self._known_pose(source)
 
     def _known_pose(self, name: str) -> np.ndarray:
         T_rig_sensor = self.sensor(name).T_rig_sensor

@@ -8,12 +8,12 @@ import numpy as np
 
 from adagmm_fusion.errors import OutputError
 from adagmm_fusion.files.atomic_file import replacing, write_text
-from adagmm_fusion.frames.rgbd import inverse_rigid
 from adagmm_fusion.rigs.rig import Rig, SensorCalibration, save_rig
 from adagmm_fusion.simulation.kinect import INTRINSICS, KinectModel, render_color, render_depth
 from adagmm_fusion.simulation.raycast import Scene
 from adagmm_fusion.simulation.room import furnish
 from adagmm_o3d.errors import InputError
+from adagmm_o3d.lie import se_inverse
 
 TARGET, SOURCE = "left", "right"
 DEFAULT_SEED = 7
@@ -43,7 +43,7 @@ T_WORLD_CAMERA = {
 
 def simulated_rig(name: str) -> Rig:
     """The exact rig; its frame is the target's camera frame."""
-    T_rig_world = inverse_rigid(T_WORLD_CAMERA[TARGET])
+    T_rig_world = se_inverse(T_WORLD_CAMERA[TARGET])
     T_rig_sensor = {TARGET: np.eye(4), SOURCE: T_rig_world @ T_WORLD_CAMERA[SOURCE]}
     sensors = {key: SensorCalibration(key, INTRINSICS, DEPTH_SCALE, T) for key, T in T_rig_sensor.items()}
     return Rig(name, sensors, "two simulated Kinects, some 30 degrees apart; exact")

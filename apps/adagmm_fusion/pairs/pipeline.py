@@ -11,15 +11,13 @@ from adagmm_fusion.clouds.building import MIN_DEPTH, clouds_from_pair
 from adagmm_fusion.errors import one_line
 from adagmm_fusion.frames.rgbd import RGBDPair
 from adagmm_fusion.pairs.feature_start import FeatureStart, find_feature_start
+from adagmm_fusion.pairs.partners import partner_distance
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.recordings.frame_sequence import Recording
 from adagmm_o3d import registration_adaptive_gmm
 from adagmm_o3d.errors import AdaGMMError
 from adagmm_o3d.evaluation import PoseErrors, overlap_ratio, pose_errors
 from adagmm_o3d.result import PointRegistrationResult
-
-# Partners in fitness, inlier RMSE and overlap are nearer than this many mean distances of neighbouring target points.
-PARTNER_SPACINGS = 2.0
 
 Callback = Callable[[dict], None]
 
@@ -117,7 +115,7 @@ def register_pair(pair: RGBDPair, settings: Settings, callback: Callback | None 
         if settings.start == "features":
             features = find_feature_start(pair, min_depth_m=MIN_DEPTH, max_depth_m=settings.max_depth_m)
         reached |= {"features": features, "seconds_features": time.perf_counter() - start}
-        distance = settings.partner_distance_m or _partner_distance(target)
+        distance = partner_distance(target, settings.partner_distance_m)
         start = time.perf_counter()
         result = registration_adaptive_gmm(
             source,
@@ -170,10 +168,6 @@ def _evaluate(source, target, result, distance: float, T_truth: np.ndarray | Non
             "errors": pose_errors(T_truth, result.details.transformation),
         }
     return Evaluation(distance, result.fitness, result.inlier_rmse, **known)
-
-
-def _partner_distance(target: o3d.geometry.PointCloud) -> float:
-    return PARTNER_SPACINGS * float(np.mean(target.compute_nearest_neighbor_distance()))
 
 
 def _criteria(settings: Settings) -> o3d.pipelines.registration.ICPConvergenceCriteria | None:

@@ -61,7 +61,7 @@ def log_pair(
     status, reason : "failed" and why, if the caller says so; otherwise the verdict follows from `limits`.
     seconds : what the registration took.
     report : markdown for the report view instead of the standard one.
-    partner_distance : how near [m] a target point counts as a partner; None for thrice the target's spacing.
+    partner_distance : how near [m] a target point counts as a partner; None for what registrations are judged by.
     fused : both frames as one textured surface at the estimate, in the target's frame, as `textured_moment` makes it.
 
     Returns

@@ -8,7 +8,7 @@ import numpy as np
 from adagmm_fusion.clouds.building import clouds_from_pair
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.pairs.fusion import mean_pose
-from adagmm_fusion.pairs.pipeline import PARTNER_SPACINGS
+from adagmm_fusion.pairs.partners import partner_distance
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.recordings.frame_sequence import Recording
 from adagmm_fusion.rigs.rig import Rig
@@ -149,7 +149,7 @@ def _check_frame(recording: Recording, index: int, T_rig: np.ndarray, settings: 
             sensor_model=settings.sensor_model,
             max_depth=settings.max_depth_m,
         )
-        distance = PARTNER_SPACINGS * float(np.mean(target.compute_nearest_neighbor_distance()))
+        distance = partner_distance(target, settings.partner_distance_m)
         result = registration_adaptive_gmm(source, target, distance, T_rig, device=settings.device).details
     except AdaGMMError as problem:
         return FrameCheck(frame, reason=" ".join(str(problem).split()))

@@ -7,6 +7,7 @@ import numpy as np
 from adagmm_fusion.clouds.building import MIN_DEPTH
 from adagmm_fusion.frames.rgbd import RGBDPair
 from adagmm_fusion.pairs.feature_start import find_feature_start
+from adagmm_fusion.pairs.partners import common_partner_distance
 from adagmm_fusion.pairs.pipeline import register_pair
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.sequence.confirmation import depth_confirms, features_confirm
@@ -66,7 +67,7 @@ def registered_edge(
         return refused(outcome.reason)
     T = np.asarray(outcome.T_estimate)
     clouds = [np.asarray(cloud.points) for cloud in (outcome.source_cloud, outcome.target_cloud)]
-    distance = partner_distance(settings)
+    distance = common_partner_distance(settings)  # information counts partners: as near in every edge of a graph
     if features is not None:
         if not features_confirm(features, pair.target, T):
             T = features.T_target_source
@@ -79,8 +80,3 @@ def registered_edge(
         overlap = outcome.evaluation.overlap
         return refused(f"overlap {overlap:.2f} is below {MIN_OVERLAP_ALONE:g} and the colours do not confirm it")
     return Edge(source, target, T, information_matrix(*clouds, distance, T), loop_closure)
-
-
-def partner_distance(settings: Settings) -> float:
-    """How near points count as partners in the information matrices [m]; the same for all of a graph."""
-    return settings.partner_distance_m or 1.5 * settings.voxel_size_m

@@ -1,6 +1,6 @@
 """Very many registrations in one process: memory stays flat.
 
-    ADAGMM_SOAK=2000 pytest tests/test_soak.py
+    ADAGMM_SOAK=2000 pytest tests/plugin/test_soak.py
 
 does so many; without it so many that 50 kB lost by each would show.
 """

@@ -26,7 +26,9 @@ SIMULATION_PARTNER_DISTANCE = 0.1  # radii
 class ProblemSource(Protocol):
     """Where a problem comes from, small enough to be sent to a worker, which loads or simulates it there."""
 
-    partner_distance: float  # points nearer than this are partners, in the units of the clouds
+    @property
+    def partner_distance(self) -> float:
+        """Points nearer than this are partners, in the units of the clouds."""
 
     @property
     def key(self) -> str: ...

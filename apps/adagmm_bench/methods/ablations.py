@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
+
 from adagmm_bench.methods.variant import Replacement, Variant
 from adagmm_o3d.em.expectation import CLOSE_VOLUME, FINEST_SIGMA, SIGMA_FLOOR
 from adagmm_o3d.mixtures.merging import MergedMixture
@@ -36,7 +38,7 @@ def run_starts_unaccelerated(
     return run_starts(source, target, starts, limits=limits, volume=volume, level=level)
 
 
-def keep_the_step(residual, deviation, memory, step) -> None:
+def keep_the_step(residual: np.ndarray, deviation: float, memory: np.ndarray, step: np.ndarray) -> None:
     """In place of `accelerate`: `step` holds the residual already."""
 
 
@@ -45,11 +47,11 @@ def narrowed_by_the_sketch(cascade: Cascade, sketched: list[End], merged: End) -
     return [end for end in sketched if pose_distance(end.pose, merged.pose) > APART_MERGED][:KEPT_RANKING]
 
 
-def shifted_only(pose, dimension: int) -> list[Start]:
+def shifted_only(pose: np.ndarray, dimension: int) -> list[Start]:
     return [start for start in around(pose, dimension) if (start.pose[:3, :3] == pose[:3, :3]).all()]
 
 
-def turned_only(pose, dimension: int) -> list[Start]:
+def turned_only(pose: np.ndarray, dimension: int) -> list[Start]:
     return [start for start in around(pose, dimension) if (start.pose[:3, 3] == pose[:3, 3]).all()]
 
 

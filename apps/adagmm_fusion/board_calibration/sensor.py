@@ -1,6 +1,8 @@
 """One sensor's intrinsics from the boards it saw, and its depth unit held against them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -51,7 +53,9 @@ class SensorResult:
     depth_spread: float | None = None
 
 
-def calibrate_sensor(views: SensorViews, board: Chessboard | Charuco, coefficients: int, folder) -> SensorResult:
+def calibrate_sensor(
+    views: SensorViews, board: Chessboard | Charuco, coefficients: int, folder: str | Path
+) -> SensorResult:
     """Intrinsics with `coefficients` of distortion (0, 4, 5 or 8); views that do not fit are left out and named.
 
     Raises
@@ -63,7 +67,8 @@ def calibrate_sensor(views: SensorViews, board: Chessboard | Charuco, coefficien
         known = ", ".join(map(str, DISTORTION_FLAGS))
         raise InputError(f"distortion: expected one of {known} coefficients, got {coefficients}")
     label = f"{folder}: {views.name}"
-    used, outliers = dict(views.corners), {}
+    used = dict(views.corners)
+    outliers: dict[str, float] = {}
     enough_views(label, views, len(used), board)
     while True:
         fit = _calibrate(views.size, used, board, coefficients)
@@ -134,7 +139,9 @@ class _Fit:
     errors_px: list[float]
 
 
-def _calibrate(size: tuple[int, int], used, board: Chessboard | Charuco, coefficients: int) -> _Fit:
+def _calibrate(
+    size: tuple[int, int], used: dict[str, BoardCorners], board: Chessboard | Charuco, coefficients: int
+) -> _Fit:
     objects = [board.points[corners.ids].astype(np.float32) for corners in used.values()]
     pixels = [corners.pixels.astype(np.float32) for corners in used.values()]
     try:
@@ -147,7 +154,9 @@ def _calibrate(size: tuple[int, int], used, board: Chessboard | Charuco, coeffic
     return _Fit(rms, K, distortion.ravel()[:coefficients], poses, deviations.ravel()[:4], errors.ravel().tolist())
 
 
-def _without_bad_corners(used, fit: _Fit, board: Charuco) -> dict[str, BoardCorners] | None:
+def _without_bad_corners(
+    used: dict[str, BoardCorners], fit: _Fit, board: Chessboard | Charuco
+) -> dict[str, BoardCorners] | None:
     """The views without corners that stand out, which something half hides; None if there is none."""
     residuals = {}
     for (view, corners), pose in zip(used.items(), fit.poses, strict=True):
@@ -160,13 +169,18 @@ def _without_bad_corners(used, fit: _Fit, board: Charuco) -> dict[str, BoardCorn
     return {view: BoardCorners(c.ids[good[view]], c.pixels[good[view]]) for view, c in used.items()}
 
 
-def _tilt_deg(poses) -> float:
+def _tilt_deg(poses: Sequence[tuple[np.ndarray, np.ndarray]]) -> float:
     """The largest angle between the normals of two boards."""
     normals = np.array([cv2.Rodrigues(rotation)[0][:, 2] for rotation, _ in poses])
     return float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0).min())))
 
 
-def _depth_units(views: SensorViews, used, board: Chessboard | Charuco, poses) -> tuple[float | None, float | None]:
+def _depth_units(
+    views: SensorViews,
+    used: dict[str, BoardCorners],
+    board: Chessboard | Charuco,
+    poses: Sequence[tuple[np.ndarray, np.ndarray]],
+) -> tuple[float | None, float | None]:
     """Stored depth over the board's own, median over the views, and how certain that is."""
     scales = []
     for view, (rotation, translation) in zip(used, poses, strict=True):

@@ -39,7 +39,7 @@ class SensorViews:
 
 
 def find_boards(
-    folder, board: Chessboard | Charuco, *, on_image: Callable[[int, int], None] | None = None
+    folder: str | Path, board: Chessboard | Charuco, *, on_image: Callable[[int, int], None] | None = None
 ) -> dict[str, SensorViews]:
     """Search all images of all sensors. `on_image` is called with the number of images done, and of all.
 

@@ -6,7 +6,7 @@ from pathlib import Path
 METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 
-def add(commands) -> None:
+def add(commands: argparse._SubParsersAction) -> None:
     text = (
         "Make a rig file of calibrations that ROS (camera_info YAML) or OpenCV (FileStorage) wrote. The first sensor "
         "is the rig's frame. Where the others are comes from --stereo, or from the rectification that ROS files hold; "

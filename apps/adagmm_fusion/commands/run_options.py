@@ -3,6 +3,7 @@
 import argparse
 from collections.abc import Callable
 from dataclasses import fields
+from typing import Any
 
 SETTINGS_OPTIONS = {
     "sensor_model": "--sensor-model",
@@ -19,7 +20,7 @@ SETTINGS_OPTIONS = {
 }
 
 
-def add(commands) -> None:
+def add(commands: argparse._SubParsersAction) -> None:
     from adagmm_fusion.clouds.building import SENSOR_MODELS
     from adagmm_fusion.formats import FORMATS
     from adagmm_fusion.pairs.settings import STARTS, Settings
@@ -47,7 +48,9 @@ def add(commands) -> None:
     method = command.add_argument_group("method")
     success = command.add_argument_group("what counts as success")
 
-    def add_setting(group, name: str, type: Callable | None, metavar: str | None, help: str, **more) -> None:
+    def add_setting(
+        group: argparse._ArgumentGroup, name: str, type: Callable | None, metavar: str | None, help: str, **more: Any
+    ) -> None:
         automatic = "" if default[name] is None else " (default: %(default)s)"
         group.add_argument(
             SETTINGS_OPTIONS[name],

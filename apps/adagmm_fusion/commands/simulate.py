@@ -3,7 +3,7 @@
 import argparse
 
 
-def add(commands) -> None:
+def add(commands: argparse._SubParsersAction) -> None:
     text = "Render a recording of two Kinects in a furnished room, with an exactly known rig."
     command = commands.add_parser("simulate", help="render a recording of two Kinects", description=text)
     command.add_argument("output", metavar="OUT", help="the recording's new folder")

@@ -33,7 +33,7 @@ def replacing(path):
             temporary.unlink()
 
 
-def write_text(path, text: str):
+def write_text(path: str | Path, text: str) -> None:
     """Write a UTF-8 text file atomically."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")

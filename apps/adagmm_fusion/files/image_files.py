@@ -3,7 +3,9 @@ image."""
 
 import struct
 import zlib
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -79,7 +81,7 @@ def load_frame(
     intrinsics: PinholeIntrinsics,
     depth_scale: float,
     timestamp: float | None = None,
-    fix_depth=None,
+    fix_depth: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> RGBDFrame:
     """The frame of two image files; `fix_depth` maps the stored depth values to what `depth_scale` is about.
 
@@ -93,7 +95,7 @@ def load_frame(
     return checked_frame(depth_path, name, color, depth, intrinsics, depth_scale, sensor, timestamp)
 
 
-def checked_frame(path: Path, *values) -> RGBDFrame:
+def checked_frame(path: Path, *values: Any) -> RGBDFrame:
     """RGBDFrame(*values), where what is wrong becomes a RecordingError about `path`."""
     try:
         return RGBDFrame(*values)

@@ -4,9 +4,12 @@ Camera frames are right-handed, x right, y down, z forward (RDF). Pixel (0, 0) i
 point (x, y, z) is at u = fx x/z + cx, v = fy y/z + cy before distortion (OpenCV's model and order of coefficients).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adagmm_o3d.errors import InputError, InputTypeError
 from adagmm_o3d.lie import project_to_rotation
@@ -17,7 +20,7 @@ MAX_PX = 1e9  # of a focal length or principal point; the inverse of a focal len
 DEPTH_DTYPES = (np.dtype(np.uint16), np.dtype(np.float32), np.dtype(np.float64))
 
 
-def checked_rigid_transformation(transformation, name: str, *, tolerance: float = 1e-3) -> np.ndarray:
+def checked_rigid_transformation(transformation: ArrayLike, name: str, *, tolerance: float = 1e-3) -> np.ndarray:
     """A (4, 4) float64 copy whose rotation is exactly one; rounding as in text files, up to `tolerance`, is removed.
 
     Raises
@@ -188,7 +191,7 @@ class RGBDPair:
             object.__setattr__(self, "T_target_source", T)
 
 
-def _finite(value, name: str) -> float:
+def _finite(value: Any, name: str) -> float:
     try:
         number = float(value)
     except (TypeError, ValueError):
@@ -198,5 +201,5 @@ def _finite(value, name: str) -> float:
     return number
 
 
-def _size(shape) -> str:
+def _size(shape: Sequence[int]) -> str:
     return f"{shape[1]}x{shape[0]}"

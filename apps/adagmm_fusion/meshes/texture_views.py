@@ -1,6 +1,7 @@
 """Photographs of a surface: what each sees of it, and how well."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -115,7 +116,7 @@ def _fade(surface_z: np.ndarray) -> np.ndarray:
     return np.maximum(share * share * (3.0 - 2.0 * share), LEAST_FADE).astype(np.float32)
 
 
-def _sampled(image: np.ndarray, pixels: np.ndarray, interpolation: int, outside) -> np.ndarray:
+def _sampled(image: np.ndarray, pixels: np.ndarray, interpolation: int, outside: Any) -> np.ndarray:
     flat = pixels.reshape(-1, 1, 2)
     # OpenCV's remap takes images of up to 32767 pixels a side: long lists go in as a square.
     side = max(1, int(np.ceil(np.sqrt(len(flat)))))

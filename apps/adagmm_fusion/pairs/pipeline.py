@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import open3d as o3d
@@ -99,7 +100,7 @@ def register_pair(pair: RGBDPair, settings: Settings, callback: Callback | None 
 
     `callback` goes to registration_adaptive_gmm as callback_after_iteration. Errors of ours become a failed outcome.
     """
-    reached = {"pair": pair}
+    reached: dict[str, Any] = {"pair": pair}
     try:
         start = time.perf_counter()
         source, target = clouds_from_pair(
@@ -158,8 +159,14 @@ def why_failed(estimate: PointRegistrationResult, evaluation: Evaluation, settin
     return "; ".join(reasons)
 
 
-def _evaluate(source, target, result, distance: float, T_truth: np.ndarray | None) -> Evaluation:
-    known = {}
+def _evaluate(
+    source: o3d.geometry.PointCloud,
+    target: o3d.geometry.PointCloud,
+    result: o3d.pipelines.registration.RegistrationResult,
+    distance: float,
+    T_truth: np.ndarray | None,
+) -> Evaluation:
+    known: dict[str, Any] = {}
     if T_truth is not None:
         points = np.asarray(source.points), np.asarray(target.points)
         known = {
@@ -176,5 +183,5 @@ def _criteria(settings: Settings) -> o3d.pipelines.registration.ICPConvergenceCr
     return o3d.pipelines.registration.ICPConvergenceCriteria(max_iteration=settings.max_iteration)
 
 
-def _refused(name: str, index: int, problem: AdaGMMError, **reached) -> PairOutcome:
+def _refused(name: str, index: int, problem: AdaGMMError, **reached: Any) -> PairOutcome:
     return PairOutcome(name, index, "failed", one_line(problem), "error", **reached)

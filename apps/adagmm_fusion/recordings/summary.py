@@ -1,7 +1,8 @@
 """What a recording holds: its sensors as their frames show them, and its pairs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from rich.table import Table
@@ -116,11 +117,12 @@ def _add_frame(sensor: SensorSummary, entry: FrameEntry) -> float | None:
     sensor.frames += 1
     sensor.poses += entry.T_world_camera is not None
     frame = entry.load()
-    for values, value in (
+    seen: tuple[tuple[list, Any], ...] = (
         (sensor.intrinsics, frame.intrinsics),
         (sensor.depth_scales, frame.depth_scale),
         (sensor.depth_dtypes, str(frame.depth.dtype)),
-    ):
+    )
+    for values, value in seen:
         if value not in values:
             values.append(value)
     depth = frame.depth_m()
@@ -140,7 +142,7 @@ def _table(*headings: str) -> Table:
 
 
 def _sensor_column(sensor: SensorSummary) -> dict[str, str]:
-    def each(values, text) -> str:
+    def each(values: Iterable[Any], text: Callable[[Any], str]) -> str:
         return "; ".join(map(text, values)) or "not known"
 
     return {

@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 from adagmm_fusion.frames.rgbd import RGBDFrame
 from adagmm_fusion.pairs import partners
+from adagmm_o3d.result import PointRegistrationResult
 
 HIDDEN, CONTRADICTED, PARTNER = 0, 1, 2
 MILLIMETRES_PER_METRE = 1000.0
@@ -33,7 +34,7 @@ class PointDiagnostics:
 def diagnose(
     source: o3d.geometry.PointCloud,
     target: o3d.geometry.PointCloud,
-    estimate,
+    estimate: PointRegistrationResult,
     *,
     target_frame: RGBDFrame | None = None,
     partner_distance: float | None = None,

@@ -14,7 +14,9 @@ BEHIND_MARGIN = 0.05
 DIMMED = 0.35
 
 
-def log_overlay(rec, source: RGBDFrame, target: RGBDFrame, T_target_source: np.ndarray, when: When) -> None:
+def log_overlay(
+    rec: rr.RecordingStream, source: RGBDFrame, target: RGBDFrame, T_target_source: np.ndarray, when: When
+) -> None:
     """Log two composites: source over dimmed target, and a checkerboard, whose edges meet if the pose is right."""
     colors, seen = project_colors(source, target, T_target_source)
     over = (DIMMED * target.color).astype(np.uint8)

@@ -86,14 +86,14 @@ def check_rig(
     poses = {sensors: rig.T_target_source(sensors[1], sensors[0]) for sensors in by_sensors}
     chosen = {sensors: spread_over(indices, max_frames) for sensors, indices in by_sensors.items()}
     total, done, checks = sum(map(len, chosen.values())), 0, []
-    for (source, target), indices in chosen.items():
+    for sensors, indices in chosen.items():
         frames = []
         for index in indices:
-            frames.append(_check_frame(recording, index, poses[source, target], settings))
+            frames.append(_check_frame(recording, index, poses[sensors], settings))
             done += 1
             if on_frame is not None:
                 on_frame(done, total)
-        checks.append(judged(source, target, frames, poses[source, target], max_rotation_deg, max_translation_mm))
+        checks.append(judged(*sensors, frames, poses[sensors], max_rotation_deg, max_translation_mm))
     return checks
 
 

@@ -95,7 +95,7 @@ class Rig:
         return T_rig_sensor
 
 
-def load_rig(path) -> Rig:
+def load_rig(path: str | Path) -> Rig:
     """Read a rig file.
 
     Raises
@@ -117,7 +117,7 @@ def load_rig(path) -> Rig:
     return Rig(keys["name"].text(), sensors, description, path)
 
 
-def save_rig(path, rig: Rig):
+def save_rig(path: str | Path, rig: Rig) -> None:
     """Write a rig file that load_rig reads back equal to the last bit. Raises OutputError if it cannot be written."""
     lines = [f"format: {FORMAT}", f"version: {VERSION}", f"name: {_quoted(rig.name)}"]
     if rig.description:

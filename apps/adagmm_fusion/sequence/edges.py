@@ -66,12 +66,12 @@ def registered_edge(
     if outcome.estimate is None:
         return refused(outcome.reason)
     T = np.asarray(outcome.T_estimate)
-    clouds = [np.asarray(cloud.points) for cloud in (outcome.source_cloud, outcome.target_cloud)]
+    points, onto = np.asarray(outcome.source_cloud.points), np.asarray(outcome.target_cloud.points)
     distance = common_partner_distance(settings)  # information counts partners: as near in every edge of a graph
     if features is not None:
         if not features_confirm(features, pair.target, T):
             T = features.T_target_source
-        overlap = overlap_ratio(*clouds, T, distance)
+        overlap = overlap_ratio(points, onto, T, distance)
         if overlap < MIN_OVERLAP_CONFIRMED:
             return refused(f"overlap {overlap:.2f} is below {MIN_OVERLAP_CONFIRMED:g}")
     elif outcome.status != "ok":
@@ -79,4 +79,4 @@ def registered_edge(
     elif outcome.evaluation.overlap < MIN_OVERLAP_ALONE:
         overlap = outcome.evaluation.overlap
         return refused(f"overlap {overlap:.2f} is below {MIN_OVERLAP_ALONE:g} and the colours do not confirm it")
-    return Edge(source, target, T, information_matrix(*clouds, distance, T), loop_closure)
+    return Edge(source, target, T, information_matrix(points, onto, distance, T), loop_closure)

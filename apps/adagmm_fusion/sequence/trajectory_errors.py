@@ -7,6 +7,7 @@ Source: Sturm et al., A Benchmark for the Evaluation of RGB-D SLAM Systems, IROS
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.evaluation import rotation_error_deg
@@ -62,5 +63,5 @@ def align_rigid(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
     return T
 
 
-def _rms(values) -> float:
+def _rms(values: ArrayLike) -> float:
     return float(np.sqrt(np.mean(np.square(values))))

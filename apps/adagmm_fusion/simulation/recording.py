@@ -5,6 +5,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adagmm_fusion.errors import OutputError
 from adagmm_fusion.files.atomic_file import replacing, write_text
@@ -22,7 +23,7 @@ SECONDS_BETWEEN_PAIRS = 2.0
 JPEG_QUALITY = 92
 
 
-def look_at(eye, point, roll_deg: float) -> np.ndarray:
+def look_at(eye: ArrayLike, point: ArrayLike, roll_deg: float) -> np.ndarray:
     """(4, 4) T_world_camera of an RDF camera at `eye` whose optical axis goes through `point`; the world's z is up."""
     forward = np.subtract(point, eye) / np.linalg.norm(np.subtract(point, eye))
     right = np.cross(forward, [0.0, 0.0, 1.0])
@@ -60,11 +61,11 @@ def render_pair(seed: int, index: int) -> dict[str, tuple[np.ndarray, np.ndarray
 
 
 def simulate_recording(
-    folder,
+    folder: str | Path,
     *,
     pairs: int = 3,
     seed: int = DEFAULT_SEED,
-    calibration=None,
+    calibration: str | Path | None = None,
     on_pair: Callable[[str], None] | None = None,
 ) -> Path:
     """Render a recording into a new folder and write its rig file.

@@ -8,8 +8,8 @@ import numpy as np
 
 from adagmm_o3d.errors import InputError
 
-# A point this many times less certain than the cloud's most certain tenth is marked as an outlier by its covariance.
-# Not the median: more than half of a cloud may be marked.
+# A point counts as marked if its covariance is this many times that of the cloud's most certain tenth. The median would
+# not do in place of the tenth: more than half of a cloud may be marked.
 FLAGGED_RATIO, CERTAIN_QUANTILE = 1e4, 0.1
 
 PREPARATIONS = {

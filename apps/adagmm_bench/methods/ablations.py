@@ -17,7 +17,7 @@ from adagmm_o3d.search.levels import APART_MERGED, KEPT_RANKING, MERGED, SMALL, 
 from adagmm_o3d.search.runs import End, Limits, Start, pose_distance, run_starts
 from adagmm_o3d.search.starts import around
 
-# The share of points without a partner at which all ends are compared where none is compared at its own.
+# All ends of a search are compared at this share of points without a partner, instead of each at its own.
 ONE_SHARE = 0.1
 
 

@@ -20,7 +20,7 @@ from adagmm_fusion.frames.rgbd import PinholeIntrinsics, checked_rigid_transform
 from adagmm_fusion.rigs.rig import Rig, SensorCalibration
 
 MIN_COMMON_VIEWS = 3
-# Of good boards the error is a fraction of a pixel; far above, the two sensors do not see the same thing.
+# Good boards leave an error below a pixel. Above this limit the two sensors do not see the same board.
 MAX_RIG_ERROR_PX = 2.0
 # A mirrored sensor is named if mirroring it back makes the error this much smaller.
 MIRROR_RATIO = 5.0

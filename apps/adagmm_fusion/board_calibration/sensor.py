@@ -14,13 +14,13 @@ from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_o3d.errors import InputError
 
 MIN_VIEWS = 5
-# A view is an outlier if its error is this many times the views' median, and not small anyway.
+# A view is an outlier if its error exceeds both this multiple of the views' median and the second number.
 OUTLIER_RATIO, OUTLIER_MIN_PX = 3.0, 0.5
 # With more outliers than this, it is not clear which views are the wrong ones.
 MAX_OUTLIER_SHARE = 1.0 / 3.0
-# A corner of a partly hidden board is left out if it is off by this many times the median of all, and not by little.
+# A corner of a partly hidden board is left out if its error exceeds both this multiple of the median and the second.
 CORNER_RATIO, CORNER_MIN_PX = 5.0, 0.3
-# Boards whose normals all lie within this angle leave the focal length open, however well they fit.
+# If the normals of all boards lie within this angle, they do not determine the focal length, however well they fit.
 MIN_TILT_DEG = 15.0
 # Focal lengths less certain than this come from boards that all faced the sensor alike, or from too few.
 MAX_FOCAL_UNCERTAINTY = 0.01

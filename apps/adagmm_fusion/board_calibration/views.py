@@ -19,7 +19,7 @@ from adagmm_fusion.formats.options import listed_images
 from adagmm_fusion.rigs.rig import SENSOR_NAME
 from adagmm_o3d.errors import InputError
 
-# Depth at a corner is the median of this many pixels around it, a side; at the corner itself it may be missing.
+# The depth at a corner is the median of a square with this many pixels a side, as the corner's own may be missing.
 DEPTH_WINDOW = 5
 
 

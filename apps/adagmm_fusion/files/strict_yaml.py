@@ -18,7 +18,7 @@ from adagmm_o3d.errors import InputError
 
 NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 INTEGER = re.compile(r"[-+]?[0-9]{1,18}")
-# Escapes can write what is no text: half of a surrogate pair, or commands to a terminal.
+# Escapes can stand for characters that are not text: half of a surrogate pair, or commands to a terminal.
 NO_TEXT = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
 MAX_DEPTH = 12
 

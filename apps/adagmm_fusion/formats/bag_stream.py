@@ -29,7 +29,7 @@ STREAM_INFO = "uint32 fps\nstring encoding\nbool is_recommended\n"
 DEPTH_ENCODINGS = ("mono16", "16UC1")
 # Where the colour channels are in each encoding.
 COLOR_CHANNELS = {"rgb8": [0, 1, 2], "bgr8": [2, 1, 0], "rgba8": [0, 1, 2], "bgra8": [2, 1, 0]}
-# The model whose coefficients are OpenCV's; of the others they are left out.
+# The one distortion model whose coefficients are OpenCV's; other models' coefficients are not used.
 OPENCV_MODEL = "brown conrady"
 
 
@@ -72,7 +72,7 @@ class BagStream:
         RecordingError  if there is none, or no colour within a frame of it, or an image is not as expected.
         """
         depth_times, color_times = self._times["Depth"], self._times["Color"]
-        # A frame is a little late or early: half a frame counts as the frame.
+        # Frames come a little early or late: up to half a frame early counts as on time.
         index = int(np.searchsorted(depth_times, depth_times[0] + 1e9 * (seconds - 0.5 / self.fps)))
         if index == len(depth_times):
             raise RecordingError(f"{self.path}: no frame with colour and depth at {seconds:.3f} s or later")

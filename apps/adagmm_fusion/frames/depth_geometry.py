@@ -8,7 +8,7 @@ import numpy as np
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame
 from adagmm_o3d.errors import InputError
 
-# Two neighbouring pixels lie on one surface unless it is seen at a more grazing angle than this.
+# Two neighbouring pixels count as one surface if the camera would see that surface at this angle or squarer.
 EDGE_ANGLE_DEG = 86.0
 
 

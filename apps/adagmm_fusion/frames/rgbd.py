@@ -52,7 +52,7 @@ def checked_rigid_transformation(transformation: ArrayLike, name: str, *, tolera
             f"{name}: the upper left 3x3 block is not a rotation: {off:.2g} from one, determinant {determinant:.4g}; "
             "check the rows' order and that it is not scaled or mirrored"
         )
-    if off > 1e-12:  # else it keeps its very bits, so that files can be written and read again unchanged
+    if off > 1e-12:  # else its bits stay, and a file that is written and read again does not change
         T[:3, :3] = rotation
     T[3] = (0.0, 0.0, 0.0, 1.0)
     return T

@@ -11,7 +11,7 @@ from adagmm_fusion.frames.rgbd import RGBDFrame
 from adagmm_fusion.meshes.pinhole_images import pinhole_images
 from adagmm_o3d.lie import se_inverse
 
-# A point counts as seen if no surface lies farther than this before it: where sensors disagree the mesh is in between.
+# A surface up to this far before a point does not hide it: where sensors disagree, the mesh lies between them.
 HIDDEN_BY_M, HIDDEN_BY_SHARE = 0.03, 0.02
 # A photograph fades out towards its border, and where something hides what is behind it.
 # It never vanishes: where there is no better one it still counts.

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-# An interrupt that has come at a bad moment comes again after so long.
+# An interrupt that came at a bad moment is sent again after this time.
 AGAIN_S = 0.02
 
 

@@ -17,7 +17,7 @@ from adagmm_o3d.errors import AdaGMMError
 from adagmm_o3d.evaluation import pose_errors
 
 UNCHANGED, MOVED, UNDECIDED = "unchanged", "moved", "undecided"
-# The mean over frames is taken to be within this many of its standard errors.
+# The true mean is taken to lie within this many standard errors of the mean over frames.
 STANDARD_ERRORS = 2.0
 MIN_FRAMES = 2
 

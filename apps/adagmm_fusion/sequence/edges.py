@@ -13,10 +13,10 @@ from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.sequence.confirmation import depth_confirms, features_confirm
 from adagmm_o3d.evaluation import information_matrix, overlap_ratio
 
-# One wrong pose bends the whole path, so geometry that the colour images do not confirm must overlap this much; where
-# they do confirm it, it only has to be there.
+# One wrong pose bends the whole path. A pose that the colour images do not confirm therefore needs the first overlap,
+# one that they confirm the second only.
 MIN_OVERLAP_ALONE, MIN_OVERLAP_CONFIRMED = 0.6, 0.15
-# A rig's extrinsics hold its sensors together as this many point pairs a metre away would, more than any registration.
+# A rig's extrinsics weigh as much as this many point pairs at a metre's distance, which is more than any registration.
 RIG_POINTS = 1e5
 
 
@@ -67,7 +67,7 @@ def registered_edge(
         return refused(outcome.reason)
     T = np.asarray(outcome.T_estimate)
     points, onto = np.asarray(outcome.source_cloud.points), np.asarray(outcome.target_cloud.points)
-    distance = common_partner_distance(settings)  # information counts partners: as near in every edge of a graph
+    distance = common_partner_distance(settings)  # one for all edges, as their information counts partners
     if features is not None:
         if not features_confirm(features, pair.target, T):
             T = features.T_target_source

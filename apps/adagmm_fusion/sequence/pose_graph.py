@@ -11,8 +11,8 @@ from adagmm_fusion.sequence.edges import Edge
 from adagmm_o3d import lie
 from adagmm_o3d.lie import se_inverse
 
-# A loop closure that moves its points farther than this against the rest of the graph is taken for wrong. Drift is what
-# loop closures are there to take out, so it must not be much smaller.
+# A loop closure counts as wrong if it moves its points farther than this against the rest of the graph. A much smaller
+# number would drop right ones: they move points by the drift that they take out.
 LOOP_TOLERANCE_M = 0.25
 # Open3D solves for all poses in one dense matrix, so larger graphs are optimised in fragments, and these as a whole.
 MAX_NODES, FRAGMENT_FRAMES = 200, 100
@@ -102,7 +102,7 @@ def _between(edge: Edge, fragments: list[Poses], fragment_of: dict[int, int]) ->
     """An edge between two frames as one between their fragments."""
     source, target = fragment_of[edge.source], fragment_of[edge.target]
     T_target_frame, T_source_frame = fragments[target][edge.target], fragments[source][edge.source]
-    # Open3D weighs motions in the source frame with the information: in the fragment's frame these look otherwise.
+    # Open3D applies the information to motions in the source's frame; the adjoint carries it to the fragment's frame.
     adjoint = lie.se_adjoint(se_inverse(T_source_frame))
     return replace(
         edge,

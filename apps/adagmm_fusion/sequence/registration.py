@@ -12,7 +12,7 @@ from adagmm_fusion.sequence.pose_graph import chained_poses, connected_sets
 from adagmm_fusion.sequence.scene import Scene
 from adagmm_o3d.errors import AdaGMMError
 
-# A frame that cannot be registered with the one before is tried with those before that.
+# If a frame cannot be registered with the one before it, this many earlier ones are tried.
 MAX_GAP = 3
 
 Progress = Callable[[str, int, int], None]

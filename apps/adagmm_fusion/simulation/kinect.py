@@ -73,7 +73,7 @@ def render_depth(
         steps = np.floor(intrinsics.fx * model.baseline_m / noisy / model.disparity_step_px + 0.5)
         measured = intrinsics.fx * model.baseline_m / (steps * model.disparity_step_px)
 
-    # The pattern's projector stands beside the camera, on its right: what it cannot see has no depth.
+    # The projector stands to the right of the camera. Where it casts no light, there is no depth.
     projector = (T_world_camera @ [model.baseline_m, 0.0, 0.0, 1.0])[:3]
     reflecting = np.array([part.returns_infrared for part in scene.parts] + [False])[seen.part]
     missing = edge | ~reflecting | ~scene.visible(seen.points, seen.facet_normals, projector)

@@ -52,6 +52,7 @@ def way(name, problem):
     return register(name, prepared.source, prepared.target).transformations
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ABLATIONS)
 def test_a_row_changes_what_runs_and_only_while_it_runs(name):
     problem = CASES.get(name, SIDES)

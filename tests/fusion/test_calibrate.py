@@ -21,6 +21,8 @@ from adagmm_o3d.errors import InputError
 from adagmm_o3d.evaluation import pose_errors
 from adagmm_o3d.lie import se_inverse
 
+pytestmark = pytest.mark.slow
+
 LEFT = PinholeIntrinsics(640, 480, 525.0, 527.0, 322.0, 238.0, (0.08, -0.15, 0.001, -0.0007, 0.02))
 RIGHT = PinholeIntrinsics(640, 480, 540.0, 538.0, 315.0, 245.0, (-0.05, 0.06, 0.0, 0.001, 0.0))
 T_LEFT_RIGHT = np.eye(4)

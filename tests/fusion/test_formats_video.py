@@ -3,6 +3,7 @@
 The stand-in replaces the reader class only, which needs libraries and a camera's recording of hundreds of megabytes.
 """
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -209,6 +210,16 @@ def test_a_bag_that_is_cut_off_is_one_line(tmp_path, kept):
     assert str(caught.value).startswith(f"{path}: is no ROS bag, or cut off or damaged") and "\n" not in str(
         caught.value
     )
+
+
+def test_a_bag_whose_cameras_are_nowhere(tmp_path):
+    T_color_depth = np.eye(4)
+    T_color_depth[0, 3] = np.nan
+    path = bag(tmp_path, T_color_depth=T_color_depth)
+    with pytest.raises(
+        RecordingError, match=rf"^{re.escape(str(path))}: \S+/Color_0/tf/0: pose: expected finite numbers"
+    ):
+        open_recording(path)
 
 
 def test_a_bag_of_something_else(tmp_path):

@@ -319,6 +319,7 @@ def test_a_mesh_needs_a_known_ending(tmp_path):
         save_mesh(tmp_path / "mesh.step", o3d.geometry.TriangleMesh.create_box())
 
 
+@pytest.mark.slow
 def test_a_real_walk(tmp_path, capsys):
     walk = shared_data("recordings", "redwood_open3d_5frames")
     assert main(["fuse", str(walk), "--output", str(tmp_path), "--device", "cpu"]) == 0

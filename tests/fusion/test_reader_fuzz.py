@@ -71,7 +71,7 @@ def bounded(memory: int | None = MEMORY_BYTES):
 
 
 needs_limits = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is limited the Linux way")
-pytestmark = needs_limits
+pytestmark = [needs_limits, pytest.mark.slow]
 
 
 # Damage. Every kind takes the files and numbers that it makes places of, and changes the files.

@@ -47,6 +47,7 @@ def depth_of(*parts: Part, seed: int = 0, model: kinect.KinectModel | None = Non
     )
 
 
+@pytest.mark.slow
 def test_the_shipped_pair_can_be_made_again():
     pair = open_recording(SHIPPED)[0]
     images = render_pair(DEFAULT_SEED, 0)

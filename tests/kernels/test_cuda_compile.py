@@ -24,6 +24,8 @@ from adagmm_o3d.kernels.cuda import (
 )
 from adagmm_o3d.kernels.cuda.clouds import inspecting, packing, summing, surface
 
+pytestmark = pytest.mark.slow
+
 CAPABILITIES = [(7, 5), (8, 0), (9, 0)]
 # Nothing may be left to local memory, be it an array or a register that did not fit.
 MOST_LOCAL_BYTES = 0

@@ -135,6 +135,7 @@ def test_clouds_far_apart_and_told_to_start_there(cloud, rule):
     assert_right_or_doubted(result, shifted)
 
 
+@pytest.mark.slow
 @rules
 def test_three_points_against_very_many(cloud, rule):
     _, T = cloud
@@ -152,6 +153,7 @@ def test_one_point_against_very_many(dimension):
             register_points(*clouds)
 
 
+@pytest.mark.slow
 def test_a_million_points(cloud):
     _, T = cloud
     rng = np.random.default_rng(2)

@@ -202,6 +202,7 @@ def test_what_is_asked_for_later_is_that_of_the_clouds_as_they_were(dimension, r
     assert result.row_weights is result.row_weights  # found once
 
 
+@pytest.mark.slow
 def test_kinect_scenes():
     errors = []
     for path in sorted(shared_data("kinect_pairs").glob("scene_*.npz")):

@@ -283,6 +283,7 @@ def test_the_same_call_gives_the_same_bits(pair):
     assert bits(first) == bits(second)
 
 
+@pytest.mark.slow
 def test_the_same_bits_on_one_thread_and_on_two():
     script = (
         "import sys, hashlib; sys.path[:0] = sys.argv[1:]; import test_registration as t\n"

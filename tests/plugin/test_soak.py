@@ -23,7 +23,10 @@ POINTS = 400
 # Allocators keep what they have had; a leak grows with every registration.
 ALLOWED_GROWTH_MB = 8.0
 
-pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="resident memory is read the Linux way")
+pytestmark = [
+    pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="resident memory is read the Linux way"),
+    pytest.mark.slow,
+]
 
 
 def resident_mb() -> float:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adagmm_o3d.arguments import Array
-from adagmm_o3d.em.expectation import CLOSE_VOLUME, OPEN_VOLUME, AdaptiveExpectation
+from adagmm_o3d.em.expectation import AdaptiveExpectation
 from adagmm_o3d.em.loop import expectation_maximisation
 from adagmm_o3d.em.sigma_rules import Annealed, FigureTwo, NearestDistance, SigmaRule
 from adagmm_o3d.errors import InputError
@@ -22,11 +22,10 @@ from adagmm_o3d.mixtures.normalisation import Normalisation, normalise
 from adagmm_o3d.options import Callback, Criteria, TransformationEstimationForAdaptiveGMM
 from adagmm_o3d.pairs.device import make_pair_loop
 from adagmm_o3d.result import Iteration, PointRegistrationResult, PoseUncertainty, StopReason
-from adagmm_o3d.search import starts
-from adagmm_o3d.search.levels import Cascade
+from adagmm_o3d.search.find import find
+from adagmm_o3d.search.levels import Levels
 from adagmm_o3d.search.refinement import refine
-from adagmm_o3d.search.rotations import is_ambiguous, search_globally
-from adagmm_o3d.search.runs import End, pose_distance
+from adagmm_o3d.search.schedule import SCHEDULE
 from adagmm_o3d.trust.conclusion import conclude, lower, no_partners, partners_of
 from adagmm_o3d.trust.pose_covariance import uncertainty_out
 
@@ -35,7 +34,6 @@ INIT_TOLERANCE = 1e-4
 # A given start is believed when this share of the source has a partner where it leads.
 PLAUSIBLE = 0.1
 # Starts that differ by less than this, in radii, lead to the same end: σ = 0.3 does not tell them apart.
-SAME_START = 0.1
 # The paper's wide mixtures converge slowly: their steps are short long before the end.
 SLOW = 0.01
 
@@ -48,6 +46,7 @@ def register_mixtures(
     limits: Criteria,
     device: str,
     callback: Callback | None,
+    viewpoints: tuple[Array | None, Array | None] = (None, None),
 ) -> PointRegistrationResult:
     """Register the mixtures as they came through the door, wherever they lie; see `register_points`."""
     dimension = moving.dimension
@@ -59,18 +58,28 @@ def register_mixtures(
     given = None if init is None or everywhere else _start_pose(init, normalisation, dimension)
     ambiguous, assess = False, _unknown
     if method.sigma_rule == "posterior":
-        cascade, ends = _find(moving, fixed, method, given, everywhere, normalisation)
-        best, ambiguous = ends[0], everywhere and is_ambiguous(ends)
+        levels = Levels(moving, fixed, SCHEDULE)
+        identity = normalisation.pose_in(np.eye(4))
+        found = find(
+            levels,
+            given=given,
+            identity=identity if method.start != "centroids" else None,
+            centroids=method.start != "init",
+            everywhere=everywhere,
+            search=method.search,
+            viewpoints=normalisation.points_in(*viewpoints),
+        )
+        best, ambiguous = found.end, found.ambiguous
         if observe is not None:
             for iteration in best.iterations:
                 observe(iteration)
-        start, volume = best.start, cascade.volume
+        start = best.start
         refined = refine(
-            cascade,
+            levels,
             best,
             limits,
             device=device,
-            mutuality=_mutuality(method, cascade),
+            mutuality=_mutuality(method, levels),
             relaxation=method.relaxation,
             observe=observe,
         )
@@ -85,7 +94,7 @@ def register_mixtures(
             raise InputError(f"init: 'global' needs sigma_rule 'posterior', got {method.sigma_rule!r}")
         identity = normalisation.pose_in(np.eye(4))
         start = given if given is not None else identity if method.start == "init" else np.eye(4)
-        volume, pairs = OPEN_VOLUME[dimension], make_pair_loop(moving, fixed, device)
+        pairs = make_pair_loop(moving, fixed, device)
         limits = replace(limits, relative_rmse=SLOW * limits.relative_rmse)
         expectation = AdaptiveExpectation(pairs, _sigma_rule(method, dimension), start)
         outcome = expectation_maximisation(
@@ -93,7 +102,7 @@ def register_mixtures(
         )
     find_partners = partial(no_partners, moving)
     if outcome.stop_reason is not StopReason.NO_OVERLAP:
-        find_partners = partial(partners_of, pairs, moving, outcome.pose, outcome.iterations[-1].sigma, volume)
+        find_partners = partial(partners_of, pairs, moving, outcome.pose, outcome.iterations[-1].sigma)
     return conclude(
         start,
         outcome,
@@ -106,46 +115,15 @@ def register_mixtures(
     )
 
 
-def _find(
-    source: Mixture,
-    target: Mixture,
-    method: TransformationEstimationForAdaptiveGMM,
-    given: Array | None,
-    everywhere: bool,
-    normalisation: Normalisation,
-) -> tuple[Cascade, list[End]]:
-    """The ends on the deciding level, the one to refine first, and the cascade that found them."""
-    dimension = source.dimension
-    centroids, identity = np.eye(4), normalisation.pose_in(np.eye(4))
-    cascade = Cascade(source, target, OPEN_VOLUME[dimension])
-    if everywhere:
-        return cascade, search_globally(source, target, volume=cascade.volume)
-    if given is not None and not np.allclose(given, identity):
-        near = Cascade(source, target, CLOSE_VOLUME[dimension])
-        best = max(near.run_deciding(starts.near(given)), key=lambda end: end.log_likelihood)
-        if best.iterations[-1].matched >= PLAUSIBLE:
-            return near, [best]
-        bases = [given]
-    else:
-        bases = {"auto": [centroids, identity], "centroids": [centroids], "init": [identity]}[method.start]
-        if pose_distance(bases[0], bases[-1]) < SAME_START:
-            bases = bases[:1]
-    trusted = cascade.register_trusted([starts.wide(base) for base in bases])
-    if not method.search or cascade.is_tight(trusted[1]):
-        return cascade, [trusted[1]]
-    others = [*starts.around(bases[0], dimension), *(starts.narrow(base) for base in bases[1:])]
-    return cascade, cascade.search(others, trusted)
-
-
 def _unknown() -> PoseUncertainty:
     """Of a pose that the paper's own rules found, or that no pair speaks for."""
     return PoseUncertainty(None, ())
 
 
-def _mutuality(method: TransformationEstimationForAdaptiveGMM, cascade: Cascade) -> float:
+def _mutuality(method: TransformationEstimationForAdaptiveGMM, levels: Levels) -> float:
     if method.mutuality is not None:
         return method.mutuality
-    return 0.0 if cascade.small else 0.5
+    return 0.0 if levels.small else 0.5
 
 
 def _start_pose(init: ArrayLike, normalisation: Normalisation, dimension: int) -> Array:

@@ -7,8 +7,9 @@ from collections.abc import Callable
 import numpy as np
 
 from adagmm_o3d.arguments import Array
-from adagmm_o3d.em.expectation import SIGMA_FLOOR, uniform_density
+from adagmm_o3d.em.expectation import SIGMA_FLOOR
 from adagmm_o3d.em.loop import Outcome
+from adagmm_o3d.em.unmatched import uniform_density
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.normalisation import Normalisation
 from adagmm_o3d.pairs.protocol import Pairs
@@ -50,14 +51,11 @@ def conclude(
     )
 
 
-def partners_of(pairs: Pairs, source: Mixture, pose: Array, sigma: float, volume: float) -> Partners:
-    """What a pose between normalised mixtures, whose `pairs` they are, says of every input point of the source.
-
-    Points that have no partner are spread over `volume`.
-    """
+def partners_of(pairs: Pairs, source: Mixture, pose: Array, sigma: float) -> Partners:
+    """What a pose between normalised mixtures, whose `pairs` they are, says of every input point of the source."""
     # Finer than the floor, a point between the samples of the other cloud would seem to have no partner.
     sigma = max(sigma, SIGMA_FLOOR)
-    posterior = pairs.posterior_sums(pose, sigma, uniform_density(JUDGED_UNMATCHED, source.dimension, volume))
+    posterior = pairs.posterior_sums(pose, sigma, uniform_density(JUDGED_UNMATCHED, sigma, source.dimension))
     row_weights = np.zeros(len(source.kept))
     row_weights[source.kept] = posterior.row_weights
     return Partners(float(posterior.overlap), row_weights)

@@ -30,8 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adagmm_o3d.arguments import Array
-from adagmm_o3d.em.expectation import uniform_density
 from adagmm_o3d.em.m_step import FREE
+from adagmm_o3d.em.unmatched import uniform_density
 from adagmm_o3d.kernels.cpu.scores import score_sums
 from adagmm_o3d.kernels.layout import CURVATURE, POINT_SUMS, SCORE, SENSITIVITY
 from adagmm_o3d.lie import hat
@@ -57,13 +57,12 @@ FREE_DEVIATION = 0.2
 
 @dataclass(frozen=True)
 class Fit:
-    """Where EM ended on two normalised mixtures: pose (4, 4), σ, the share of points without a partner and the volume
-    over which these are spread, and the mutuality of the posteriors."""
+    """Where EM ended on two normalised mixtures: pose (4, 4), σ, the share of points without a partner, and the
+    mutuality of the posteriors."""
 
     pose: Array
     sigma: float
     unmatched: float
-    volume: float
     mutuality: float
 
 
@@ -132,7 +131,7 @@ class ScoreMoments:
 
 def score_moments(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -> ScoreMoments:
     """The scores of the points of both clouds at a pose."""
-    uniform = uniform_density(fit.unmatched, source.dimension, fit.volume)
+    uniform = uniform_density(fit.unmatched, fit.sigma, source.dimension)
     sums = pairs.posterior_sums(fit.pose, fit.sigma, uniform, fit.mutuality)
     source_weights, target_weights = source.weights / source.weights.sum(), target.weights / target.weights.sum()
     # 1 / (density + uniform), for the source points from the probability to have a partner

@@ -1,0 +1,139 @@
+"""Where to start and which end to believe: trusted starts first, then whatever is needed to be sure.
+
+Starts come from where the caller says, from common centroids, from a ring around them, from local features, from a grid
+of rotations and from turning a sensor in place; their ends are candidates of one pool, and one judge compares them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adagmm_o3d.arguments import Array
+from adagmm_o3d.search import starts
+from adagmm_o3d.search.around import first_end, is_tight, search_around
+from adagmm_o3d.search.features import feature_poses
+from adagmm_o3d.search.judge import Judge
+from adagmm_o3d.search.levels import Levels
+from adagmm_o3d.search.rotations import APART_AMBIGUOUS, search_globally
+from adagmm_o3d.search.runs import End, Start, distinct, pose_distance
+from adagmm_o3d.search.schedule import SAME_START
+
+# Evidence above which a pose stands by itself [nats per point, both clouds together], see `judge.Judge.evidence`.
+ESTABLISHED = 0.4
+# By how much another pose has to explain the clouds better than the one near the start that the caller gave: a little
+# where it stands by itself, more where neither does.
+BETTER, MUCH_BETTER = 0.05, 0.4
+# Two clearly different poses whose evidence differs by less cannot be told apart.
+AMBIGUOUS = 0.05
+
+
+@dataclass(frozen=True)
+class Found:
+    """The end to refine, and what the judge says of it: None where none was needed."""
+
+    end: End
+    ambiguous: bool
+    evidence: float | None
+
+
+def find(
+    levels: Levels,
+    *,
+    given: Array | None,
+    identity: Array | None,
+    centroids: bool,
+    everywhere: bool,
+    search: bool,
+    viewpoints: tuple[Array | None, Array | None],
+) -> Found:
+    """The end to refine on all points.
+
+    Parameters
+    ----------
+    given : (4, 4) pose that somebody has vouched for, or None.   identity : the input's identity, or None if it means
+    nothing.   centroids : whether common centroids are a start.   everywhere : nothing is known of the pose.
+    search : whether to search where the first end leaves doubt.   viewpoints : see `judge.Judge`.
+    All of it between the normalised mixtures.
+    """
+    believed = given if given is not None else identity
+    bases = [base for base in (believed, np.eye(4) if centroids and given is None else None) if base is not None]
+    bases = bases[::-1] or [np.eye(4)]
+    if pose_distance(bases[0], bases[-1]) < SAME_START:
+        bases = bases[:1]
+    first = None
+    if not everywhere:
+        first = first_end(levels, [starts.wide(base) for base in bases])
+        if is_tight(levels, first[1]) or not search:
+            return Found(first[1], False, None)
+    judge = Judge(levels, viewpoints)
+    if levels.source.dimension == 2 or not judge.sharp:
+        # Noise hides the shape at the scale of the points: the likelihood at the noise's own scale decides.
+        ends = search_globally(levels) if first is None else search_around(levels, _others(levels, bases), first)
+        return Found(ends[0], _is_ambiguous([(end, end.log_likelihood) for end in ends], 0.15), None)
+    near = (
+        []
+        if everywhere or believed is None
+        else _judged(judge, levels.run(levels.schedule.near, starts.near(believed), 2))
+    )
+    rest = [] if first is None else [first[1]]
+    if levels.source.dimension == 3:
+        rest += _proposed(levels, feature_poses(levels.source, levels.target))
+    pool = _judged(judge, rest)
+    if not pool or max(value for _, value in [*near, *pool]) < ESTABLISHED:
+        more = search_globally(levels) if first is None else search_around(levels, _others(levels, bases), first)
+        if all(viewpoint is not None for viewpoint in viewpoints):
+            more += starts_in_place(levels, viewpoints)
+        pool += _judged(judge, more)
+    return _chosen(near, pool)
+
+
+def _others(levels: Levels, bases: list[Array]) -> list[Start]:
+    """Starts around the bases of the first end."""
+    return [*starts.around(bases[0], levels.source.dimension), *(starts.narrow(base) for base in bases[1:])]
+
+
+def _proposed(levels: Levels, poses: list[Array]) -> list[End]:
+    """Where the first few clearly different poses lead."""
+    level = levels.schedule.proposed
+    kept: list[Array] = []
+    for pose in poses:
+        if len(kept) < level.kept and all(pose_distance(pose, other) > level.apart for other in kept):
+            kept.append(pose)
+    begin = [Start(pose, level.sigma or 0.0, 0.4, level.fastest, level.iterations, level.follow) for pose in kept]
+    return levels.run(level, begin, 2)
+
+
+def starts_in_place(levels: Levels, viewpoints: tuple[Array | None, Array | None]) -> list[End]:
+    """Where a sensor leads that was turned, not moved, between the two clouds."""
+    level = levels.schedule.in_place
+    poses = starts.turned_in_place(*viewpoints)
+    begin = [Start(pose, level.sigma or 0.0, 0.4, level.fastest, level.iterations, level.follow) for pose in poses]
+    ends = distinct(levels.run(level, begin, 0), level.kept, level.apart)
+    return levels.carry_on(levels.schedule.proposed, ends, 2)
+
+
+def _judged(judge: Judge, ends: list[End]) -> list[tuple[End, float]]:
+    return list(zip(ends, judge.evidence([end.pose for end in ends]).tolist(), strict=True)) if ends else []
+
+
+def _chosen(near: list[tuple[End, float]], pool: list[tuple[End, float]]) -> Found:
+    """The best of the pool, or the best near the given start where none is clearly better."""
+    ranked = sorted([*near, *pool], key=lambda item: -item[1])
+    best = ranked[0]
+    if near:
+        at_start = max(near, key=lambda item: item[1])
+        wanted = BETTER if best[1] >= ESTABLISHED else MUCH_BETTER
+        if best[1] < at_start[1] + wanted:
+            best = at_start
+    rivals = [item for item in ranked if item is not best]
+    return Found(best[0], _is_ambiguous([best, *rivals], AMBIGUOUS), best[1])
+
+
+def _is_ambiguous(ranked: list[tuple[End, float]], gap: float) -> bool:
+    """Whether a clearly different pose explains the clouds as well as the first."""
+    best, value = ranked[0]
+    return any(
+        value - other < gap and pose_distance(best.pose, end.pose) > APART_AMBIGUOUS for end, other in ranked[1:]
+    )

@@ -7,6 +7,7 @@ wrong; sets of wrong ones rarely keep their distances.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -22,9 +23,10 @@ from adagmm_o3d.mixtures.sampling import some_of
 
 # Points of a thinned cloud, from how many of the cloud's, and how many of these each stands for at least: the normal of
 # fewer is noise. With fewer thinned points than FEWEST no shape is left to recognise.
-THINNED, THINNED_FROM, POINTS_EACH, FEWEST = 1000, 20_000, 2.5, 40
-# Radii, in edges of the grid: of the neighbours that make a normal and of those that make a feature.
-NORMAL_RADIUS, FEATURE_RADIUS = 1.5, 5.0
+THINNED, THINNED_FROM, POINTS_EACH, FEWEST = 1000, 20_000, 1.1, 40
+# Radii, in edges of the grid: of the neighbours that make a normal, which are no fewer than so many, and of those that
+# make a feature.
+NORMAL_RADIUS, NORMAL_POINTS, FEATURE_RADIUS = 1.5, 10, 5.0
 # The correspondences that features agree on best.
 CORRESPONDENCES = 600
 # Two correspondences are compatible when their distances agree to so many edges and the cosines of their normals to this.
@@ -86,7 +88,8 @@ def _thinned(points: Array, edge: float) -> Thinned:
     groups = Groups(_cells(points, edge), np.ones(len(points)))
     means = np.ascontiguousarray(groups.means(points))
     scatter = np.empty((len(means), 3, 3))
-    scatter_around(points, means, NORMAL_RADIUS * edge, scatter)
+    reach = max(NORMAL_RADIUS, math.sqrt(NORMAL_POINTS * len(means) / (math.pi * len(points))))
+    scatter_around(points, means, reach * edge, scatter)
     normals = np.ascontiguousarray(np.linalg.eigh(scatter)[1][:, :, 0])
     features = np.empty((len(means), FEATURE))
     describe(means, normals, FEATURE_RADIUS * edge, features)

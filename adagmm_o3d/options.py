@@ -15,6 +15,9 @@ from adagmm_o3d.errors import InputError, InputTypeError
 
 DEFAULT_MAX_ITERATION = 200
 DEFAULT_RELATIVE_RMSE = 1e-3
+# Largest entry of RᵀR − I in a pose to start from, which is then made exact: its entries are 5e-3 off. A rotation with
+# three digits has up to 2e-3; a scale, a shear or a reflection that somebody could mean has more than this.
+INIT_TOLERANCE = 1e-2
 
 SigmaRuleName = Literal["posterior", "annealed", "nearest", "figure2"]
 StartName = Literal["auto", "init", "centroids"]

@@ -19,7 +19,7 @@ from adagmm_o3d.errors import InputError
 from adagmm_o3d.lie import project_to_rotation, split
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.normalisation import Normalisation, normalise
-from adagmm_o3d.options import Callback, Criteria, TransformationEstimationForAdaptiveGMM
+from adagmm_o3d.options import INIT_TOLERANCE, Callback, Criteria, TransformationEstimationForAdaptiveGMM
 from adagmm_o3d.pairs.device import make_pair_loop
 from adagmm_o3d.result import Iteration, PointRegistrationResult, PoseUncertainty, StopReason
 from adagmm_o3d.search import starts
@@ -30,8 +30,6 @@ from adagmm_o3d.search.runs import End, pose_distance
 from adagmm_o3d.trust.conclusion import conclude, lower, no_partners, partners_of
 from adagmm_o3d.trust.pose_covariance import uncertainty_out
 
-# A pose handed over by another program has float32 digits.
-INIT_TOLERANCE = 1e-4
 # A given start is believed when this share of the source has a partner where it leads.
 PLAUSIBLE = 0.1
 # Starts that differ by less than this, in radii, lead to the same end: σ = 0.3 does not tell them apart.

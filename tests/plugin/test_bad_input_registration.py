@@ -27,6 +27,8 @@ NAN_ROW = np.where(np.arange(N)[:, None] == 4, np.nan, POINTS[3])
 LINE = np.linspace(0.0, 1.0, N)[:, None] * np.array([1.0, 2.0, 3.0])
 SCALED = np.diag([2.0, 2.0, 2.0, 1.0])
 MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])
+SLIGHTLY_SCALED = np.diag([1.006, 1.006, 1.006, 1.0])
+SHEARED = np.eye(4) + 0.02 * np.eye(4, k=1) * [[1.0], [0.0], [0.0], [0.0]]
 
 
 def at(index, value, array=UNIT):
@@ -106,6 +108,12 @@ INIT_CASES = [
     ),
     (SCALED, InputError, "init: expected a rotation, got determinant 8 and RᵀR − I up to 3; see project_to_rotation()"),
     (MIRROR, InputError, "init: expected a rotation, got determinant -1 and RᵀR − I up to 0"),
+    (
+        SLIGHTLY_SCALED,
+        InputError,
+        "init: expected a rotation, got determinant 1.01811 and RᵀR − I up to 0.012; see project_to_rotation()",
+    ),
+    (SHEARED, InputError, "init: expected a rotation, got determinant 1 and RᵀR − I up to 0.02"),
 ]
 DEVICE_CASES = [
     ("tpu", DeviceError, "device: expected "),

@@ -193,11 +193,16 @@ def test_init_is_where_it_starts(pair):
     assert errors.rotation_deg < 1.0 and errors.translation < 0.01
 
 
-def test_an_init_with_the_digits_of_a_text_file_is_taken(pair):
-    rounded = np.round(pair.T, 5)
+@pytest.mark.parametrize("digits", [5, 3])
+def test_an_init_with_the_digits_of_a_text_file_is_taken(pair, digits):
+    rounded = np.round(pair.T, digits)
+    expected = registration_adaptive_gmm(pair.source, pair.target, 0.05, pair.T)
     result = registration_adaptive_gmm(pair.source, pair.target, 0.05, rounded)
-    rotation = result.transformation[:3, :3]
-    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), rtol=0, atol=1e-9)
+    for transformation in (result.transformation, result.details.transformations[0]):
+        rotation = transformation[:3, :3]
+        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(result.details.transformations[0], pair.T, rtol=0, atol=10.0**-digits)
+    np.testing.assert_allclose(result.transformation, expected.transformation, rtol=0, atol=1e-3)
 
 
 def test_covariances_are_the_clouds_own(pair):

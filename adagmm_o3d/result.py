@@ -84,6 +84,7 @@ class PointRegistrationResult:
     transformations : (K+1, D+1, D+1) the pose before the first iteration and after each. The first is that of the start
         that won the search, which need not be `init`.
     dropped_source, dropped_target : points ignored because their covariance is not finite.
+    regularised_source, regularised_target : points whose covariance was singular and was given some thickness.
     ambiguous : another, clearly different pose explains the clouds as well. Only a global search can tell.
     doubts : one line for each reason not to trust the result that the registration itself came upon.
     find_partners, assess : what the final pose says of the points, and its uncertainty. They cost about as much as one
@@ -100,6 +101,8 @@ class PointRegistrationResult:
     transformations: Array
     dropped_source: int
     dropped_target: int
+    regularised_source: int
+    regularised_target: int
     ambiguous: bool
     doubts: tuple[str, ...]
     find_partners: Deferred[Partners]

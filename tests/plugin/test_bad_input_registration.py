@@ -54,13 +54,14 @@ POINT_CASES = [
     (at(7, -np.inf, POINTS[3]), InputError, "points: 1 of 60 points are not finite, the first at index 7"),
 ]
 COVARIANCE_CASES = [
+    (np.zeros((N, 3, 3)), InputError, "covariances: all 60 are zero; leave them out if nothing is known"),
     (
-        np.zeros((N, 3, 3)),
+        -UNIT,
         InputError,
-        "covariances: not positive definite at index 0 (60 in all); add a small multiple",
+        "covariances: not positive semidefinite at index 0 (60 in all); no covariance has a negative eigenvalue",
     ),
-    (-UNIT, InputError, "covariances: not positive definite at index 0 (60 in all)"),
-    (at(9, np.diag([1.0, 1.0, 0.0])), InputError, "covariances: not positive definite at index 9 (1 in all)"),
+    (at(9, np.diag([1.0, 1.0, -1e-4])), InputError, "covariances: not positive semidefinite at index 9 (1 in all)"),
+    (at(9, -np.eye(3)), InputError, "covariances: not positive semidefinite at index 9 (1 in all)"),
     (at((9, 0, 1), 0.5), InputError, "covariances: not symmetric at index 9 (1 in all)"),
     (
         np.full((N, 3, 3), np.nan),

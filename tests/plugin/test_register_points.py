@@ -169,6 +169,38 @@ def test_points_with_a_covariance_that_is_not_finite_are_left_out_and_counted(di
     np.testing.assert_array_equal(result.transformation, without.transformation)
 
 
+@dimensions
+def test_singular_covariances_are_given_the_thickness_of_a_surface_and_counted(dimension):
+    motion = Motion(dimension, isotropic=False)
+    rng = np.random.default_rng(8)
+    given, thick = [], []
+    for n in (len(motion.source), len(motion.target)):
+        axes = np.linalg.qr(rng.normal(size=(n, dimension, dimension)))[0]
+        variances = np.ones((n, dimension))
+        variances[:20, 0], variances[20:30, 0] = 0.0, -1e-6
+        given.append((axes * variances[:, None, :]) @ axes.transpose(0, 2, 1))
+        thick.append((axes * np.maximum(variances, 1e-3)[:, None, :]) @ axes.transpose(0, 2, 1))
+    result = register_points(motion.source, motion.target, *given)
+    expected = register_points(motion.source, motion.target, *thick)
+    assert (result.regularised_source, result.regularised_target) == (30, 30)
+    assert (expected.regularised_source, expected.regularised_target) == (0, 0)
+    np.testing.assert_allclose(result.transformation, expected.transformation, rtol=0, atol=1e-6)
+
+
+@dimensions
+@pytest.mark.parametrize("isotropic", [True, False])
+def test_a_covariance_that_is_zero_becomes_as_large_as_most_are(dimension, isotropic):
+    motion = Motion(dimension, isotropic=isotropic)
+    filled = motion.source_covariances.copy()
+    largest = np.linalg.eigvalsh(filled)[:, -1]
+    filled[:3] = np.median(largest[3:]) * np.eye(dimension)
+    motion.source_covariances[:3] = 0.0
+    result = motion.register()
+    motion.source_covariances = filled
+    assert (result.regularised_source, result.regularised_target) == (3, 0)
+    np.testing.assert_allclose(result.transformation, motion.register().transformation, rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize("dtype", [np.float16, np.float32, ">f8", np.int64])
 def test_any_real_dtype_is_taken(dtype):
     motion = Motion(3)

@@ -225,6 +225,23 @@ def test_covariances_that_are_missing_are_those_of_the_surface(pair):
     assert bits(registration_adaptive_gmm(*clouds, 0.05)) == bits(without)
 
 
+@pytest.mark.parametrize("voxel_size", [-1.0, 0.15])
+def test_open3ds_covariances_of_flat_faces_are_taken(voxel_size):
+    o3d.utility.random.seed(0)
+    box = o3d.geometry.TriangleMesh.create_box(1.0, 2.0, 3.0)
+    source, target = box.sample_points_uniformly(3000), box.sample_points_uniformly(3000)
+    T = random_pose(np.random.default_rng(0), 3, angle=0.2, distance=0.15)
+    target.transform(T)
+    for cloud in (source, target):
+        cloud.estimate_covariances()
+    result = registration_adaptive_gmm(source, target, 0.1, np.eye(4), voxel_size=voxel_size)
+    least = 1000 if voxel_size < 0 else 200
+    assert result.details.regularised_source > least and result.details.regularised_target > least
+    assert result.details.trustworthy
+    errors = pose_errors(T, result.transformation)
+    assert errors.rotation_deg < 0.02 and errors.translation < 1e-3
+
+
 def test_one_factor_on_all_covariances_changes_nothing(pair):
     def run(factor):
         clouds = [

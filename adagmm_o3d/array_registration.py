@@ -39,7 +39,8 @@ def register_points(
         "global" searches all rotations.
     estimation_method : the options; None, or one of Open3D's own, for the defaults.
     criteria : Open3D's ICPConvergenceCriteria; `relative_rmse` bounds the last step (see `options.Criteria`),
-        `max_iteration` the EM iterations on all points (the levels before have a few dozen). None for 1e-3 and 200.
+        `max_iteration` the iterations reported; with 0 of them `init`, or the identity, is the result. None, or
+        Open3D's own defaults, for 1e-3 and 200.
     device : "cpu", "cuda", or "auto": a GPU where there is one and enough to do. The coarse levels stay on the CPU.
     callback_after_iteration : called after each EM iteration with a dictionary, see `registration_adaptive_gmm`.
 

@@ -15,6 +15,8 @@ from adagmm_o3d.errors import InputError, InputTypeError
 
 DEFAULT_MAX_ITERATION = 200
 DEFAULT_RELATIVE_RMSE = 1e-3
+# relative_fitness, relative_rmse and max_iteration of Open3D's ICPConvergenceCriteria() when nobody chose them.
+OPEN3D_DEFAULTS = (1e-6, 1e-6, 30)
 # Largest entry of RᵀR − I in a pose to start from, which is then made exact: its entries are 5e-3 off. A rotation with
 # three digits has up to 2e-3; a scale, a shear or a reflection that somebody could mean has more than this.
 INIT_TOLERANCE = 1e-2
@@ -32,7 +34,9 @@ class Criteria:
     """When an EM iteration has changed nothing worth another one; the words and numbers are Open3D's.
 
     The residual is flat at its minimum: a step of ε standard deviations changes it by about ε². So a pose has settled
-    when a step is below √relative_rmse standard deviations of the mixtures. max_iteration bounds the EM iterations.
+    when a step is below √relative_rmse standard deviations of the mixtures. max_iteration bounds the iterations that
+    are reported, and with them those on all points, see `PointRegistrationResult.iterations`; at 0 the start is the
+    result.
     """
 
     relative_rmse: float
@@ -108,20 +112,25 @@ def check_estimation_method(value: Any) -> TransformationEstimationForAdaptiveGM
 
 
 def check_criteria(value: Any) -> Criteria:
-    """When to stop, from Open3D's ICPConvergenceCriteria, legacy or tensor; None for the defaults.
+    """When to stop, from Open3D's ICPConvergenceCriteria, legacy or tensor; None and Open3D's defaults for ours.
+
+    `relative_fitness` is not needed: the share of points with a partner settles with the pose.
 
     Raises
     ------
     InputTypeError : something else.   InputError : a number of it out of range.
     """
+    ours = Criteria(DEFAULT_RELATIVE_RMSE, DEFAULT_MAX_ITERATION)
     if value is None:
-        return Criteria(DEFAULT_RELATIVE_RMSE, DEFAULT_MAX_ITERATION)
+        return ours
     if not isinstance(value, (LEGACY.ICPConvergenceCriteria, TENSOR.ICPConvergenceCriteria)):
         raise InputTypeError(f"criteria: expected Open3D's ICPConvergenceCriteria, got {type(value).__name__}")
-    if value.max_iteration < 1:
-        raise InputError(f"criteria.max_iteration: expected at least 1, got {value.max_iteration}")
+    if value.max_iteration < 0:
+        raise InputError(f"criteria.max_iteration: expected at least 0, got {value.max_iteration}")
     if not 0.0 <= value.relative_rmse < math.inf:
         raise InputError(f"criteria.relative_rmse: expected a finite number >= 0, got {value.relative_rmse:g}")
+    if (value.relative_fitness, value.relative_rmse, value.max_iteration) == OPEN3D_DEFAULTS:
+        return ours
     return Criteria(float(value.relative_rmse), int(value.max_iteration))
 
 

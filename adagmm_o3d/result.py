@@ -77,12 +77,13 @@ class PointRegistrationResult:
 
     transformation : (D+1, D+1), source → target, input units.
     stop_reason, converged : why the loop ended; converged only when the pose had stopped moving at the final σ.
-    iterations : EM iterations K on the way from the start that won, on all levels.
+    iterations : EM iterations K on the way from the start that won, on all levels; `max_iteration` at most. No
+        more than a third of that is the coarse levels', the last ones there: what came before only found the start.
     sigmas : (K,) the scale of the mixtures in each iteration: σ·Σ is a covariance in input units², Σ as given. The
         rule "figure2" scales the source's alone.
     energies : (K,) the paper's Eq. 5 in each iteration, in squared Mahalanobis distances, per unit of pair weight.
-    transformations : (K+1, D+1, D+1) the pose before the first iteration and after each. The first is that of the start
-        that won the search, which need not be `init`.
+    transformations : (K+1, D+1, D+1) the pose before the first iteration and after each. The first is where the search
+        left off or that of the start that won it, which need not be `init`.
     dropped_source, dropped_target : points ignored because their covariance is not finite.
     regularised_source, regularised_target : points whose covariance was singular and was given some thickness.
     ambiguous : another, clearly different pose explains the clouds as well. Only a global search can tell.

@@ -127,9 +127,9 @@ SETTING_CASES = [
     ("criteria", {"max_iteration": 30}, InputTypeError, "criteria: expected Open3D's ICPConvergenceCriteria, got dict"),
     (
         "criteria",
-        reg.ICPConvergenceCriteria(max_iteration=0),
+        reg.ICPConvergenceCriteria(max_iteration=-1),
         InputError,
-        "criteria.max_iteration: expected at least 1, got 0",
+        "criteria.max_iteration: expected at least 0, got -1",
     ),
     (
         "criteria",
@@ -294,14 +294,26 @@ def test_covariances_of_clouds(make, side, covariances, error, message):
     check(lambda: registration_adaptive_gmm(**arguments, max_correspondence_distance=0.1), error, f"{side}.{message}")
 
 
-def test_covariances_that_do_not_match_the_points():
+def test_covariances_and_normals_that_do_not_match_the_points():
     good = legacy(POINTS[3])
     check(
         lambda: registration_adaptive_gmm(legacy(POINTS[3], UNIT[:7]), good, 0.1),
         InputError,
         "source.covariances: expected one for each of the 60 points, got 7",
     )
+    good.normals = o3d.utility.Vector3dVector(POINTS[3][:7])
+    check(
+        lambda: registration_adaptive_gmm(good, legacy(POINTS[3]), 0.1),
+        InputError,
+        "source.normals: expected one for each of the 60 points, got 7",
+    )
     flat = tensor(POINTS[3])
+    flat.point.normals = core.Tensor(np.ones((N, 2), np.float32))
+    check(
+        lambda: registration_adaptive_gmm(tensor(POINTS[3]), flat, 0.1),
+        InputError,
+        "target.normals: expected shape (60, 3), got (60, 2)",
+    )
     flat.point.covariances = core.Tensor(np.ones((N, 3), np.float32))
     for voxel_size in (-1.0, 0.1):
         check(
@@ -364,7 +376,7 @@ def test_tensor_clouds_without_positions_or_of_another_dtype():
         (0.0, InputError, "expected a finite number > 0, got 0"),
         (-0.1, InputError, "expected a finite number > 0, got -0.1"),
         (np.nan, InputError, "expected a finite number > 0, got nan"),
-        (np.inf, InputError, "expected a finite number > 0, got inf"),
+        (-np.inf, InputError, "expected a finite number > 0, got -inf"),
         (None, InputTypeError, "expected a real number, got NoneType"),
         ("0.1", InputTypeError, "expected a real number, got str"),
         (True, InputTypeError, "expected a real number, got bool"),
@@ -400,6 +412,15 @@ def test_init_of_clouds(make, init, error, message):
     if isinstance(init, np.ndarray):
         start = core.Tensor(init)
         check(lambda: registration_adaptive_gmm(*clouds, 0.1, init_source_to_target=start), error, message)
+
+
+def test_no_iterations_where_no_pose_is_named():
+    criteria = reg.ICPConvergenceCriteria(max_iteration=0)
+    check(
+        lambda: register_points(POINTS[3], POINTS[3], init="global", criteria=criteria),
+        InputError,
+        "criteria.max_iteration: expected at least 1 as init='global' names no pose, got 0",
+    )
 
 
 def test_init_given_twice():

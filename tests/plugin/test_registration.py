@@ -12,6 +12,7 @@ from mixtures import random_pose
 from shapes import bumpy_ellipsoid, move
 
 from adagmm_o3d import (
+    DegenerateError,
     PointRegistrationResult,
     TransformationEstimationForAdaptiveGMM,
     estimate_surface_covariances,
@@ -163,8 +164,40 @@ def test_default_criteria_converge(pair):
 @pytest.mark.parametrize(
     "criteria", [reg.ICPConvergenceCriteria(), o3d.t.pipelines.registration.ICPConvergenceCriteria()]
 )
-def test_open3ds_own_criteria_converge(pair, criteria):
-    assert registration_adaptive_gmm(pair.source, pair.target, 0.05, criteria=criteria).details.converged
+def test_open3ds_own_criteria_stand_for_the_default(pair, criteria):
+    expected = registration_adaptive_gmm(pair.source, pair.target, 0.05)
+    assert bits(registration_adaptive_gmm(pair.source, pair.target, 0.05, criteria=criteria)) == bits(expected)
+
+
+def test_a_criterion_counts_as_soon_as_one_is_chosen(pair):
+    def run(**chosen):
+        criteria = reg.ICPConvergenceCriteria(**chosen)
+        return registration_adaptive_gmm(pair.source, pair.target, 0.05, criteria=criteria).details
+
+    default = registration_adaptive_gmm(pair.source, pair.target, 0.05).details
+    for most in range(1, 40):
+        details = run(max_iteration=most)
+        assert details.iterations <= most and (details.converged or details.iterations == most)
+    assert run(relative_rmse=1e-9, max_iteration=2000).iterations > default.iterations
+
+
+@pytest.mark.parametrize("init", [None, "given"])
+def test_no_iterations_give_the_start_evaluated(pair, init):
+    start = np.eye(4) if init is None else pair.T
+    criteria = reg.ICPConvergenceCriteria(max_iteration=0)
+    result = registration_adaptive_gmm(pair.source, pair.target, 0.05, None if init is None else start, None, criteria)
+    theirs = reg.registration_icp(pair.source, pair.target, 0.05, start, criteria=criteria)
+    np.testing.assert_array_equal(result.transformation, theirs.transformation)
+    np.testing.assert_array_equal(result.transformation, start)
+    assert result.fitness == theirs.fitness and result.details.iterations == 0
+    assert result.details.warnings == ("not converged: max_iteration reached",)
+
+
+def test_without_a_limit_every_point_counts(pair):
+    result = registration_adaptive_gmm(pair.source, pair.target, np.inf)
+    expected = reg.evaluate_registration(pair.source, pair.target, np.inf, result.transformation)
+    assert result.fitness == expected.fitness == 1.0
+    np.testing.assert_allclose(result.inlier_rmse, expected.inlier_rmse, rtol=1e-12, atol=0)
 
 
 @pytest.mark.parametrize(
@@ -216,13 +249,45 @@ def test_covariances_are_the_clouds_own(pair):
     assert bits(given) != bits(without)
 
 
-def test_covariances_that_are_missing_are_those_of_the_surface(pair):
-    without = registration_adaptive_gmm(pair.source, pair.target, 0.05)
-    clouds = [
-        legacy_cloud(np.asarray(c.points), covariances=estimate_surface_covariances(np.asarray(c.points)))
-        for c in (pair.source, pair.target)
-    ]
-    assert bits(registration_adaptive_gmm(*clouds, 0.05)) == bits(without)
+@pytest.mark.parametrize("with_normals", [True, False])
+def test_covariances_that_are_missing_are_those_of_the_surface(pair, with_normals):
+    bare, given = [], []
+    for cloud in (pair.source, pair.target):
+        points, normals = np.asarray(cloud.points), np.asarray(cloud.normals) if with_normals else None
+        bare.append(legacy_cloud(points, normals))
+        given.append(legacy_cloud(points, covariances=estimate_surface_covariances(points, normals)))
+    assert bits(registration_adaptive_gmm(*given, 0.05)) == bits(registration_adaptive_gmm(*bare, 0.05))
+
+
+def test_normals_may_have_any_length_and_sign(pair):
+    signs = np.where(np.random.default_rng(6).random(len(pair.source.points)) < 0.5, -2.0, 0.5)[:, None]
+    scaled = legacy_cloud(np.asarray(pair.source.points), signs * np.asarray(pair.source.normals))
+    for voxel_size in (-1.0, 0.2):
+        expected = registration_adaptive_gmm(pair.source, pair.target, 0.05, voxel_size=voxel_size)
+        result = registration_adaptive_gmm(scaled, pair.target, 0.05, voxel_size=voxel_size)
+        np.testing.assert_allclose(result.transformation, expected.transformation, rtol=0, atol=1e-6)
+
+
+def test_neighbours_speak_for_points_without_a_normal(pair):
+    points, normals = np.asarray(pair.source.points), np.array(pair.source.normals)
+    covariances = estimate_surface_covariances(points, normals)
+    covariances[:40] = estimate_surface_covariances(points)[:40]
+    normals[:20], normals[20:40, 1] = 0.0, np.nan
+    result = registration_adaptive_gmm(legacy_cloud(points, normals), pair.target, 0.05)
+    expected = registration_adaptive_gmm(legacy_cloud(points, covariances=covariances), pair.target, 0.05)
+    assert bits(result) == bits(expected)
+    no_normals = registration_adaptive_gmm(legacy_cloud(points, 0.0 * normals), pair.target, 0.05)
+    assert bits(no_normals) == bits(registration_adaptive_gmm(legacy_cloud(points), pair.target, 0.05))
+
+
+def test_three_points_with_normals_are_enough():
+    points = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.1], [0.0, 0.7, -0.2]])
+    normals = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, 0.0, 0.0]])
+    cloud = legacy_cloud(points, normals)
+    result = registration_adaptive_gmm(cloud, cloud, 0.05)
+    np.testing.assert_allclose(result.transformation, np.eye(4), rtol=0, atol=1e-3)
+    with pytest.raises(DegenerateError, match=r"^points: expected more than 3 to estimate normals from, got 3; pass"):
+        registration_adaptive_gmm(legacy_cloud(points), cloud, 0.05)
 
 
 @pytest.mark.parametrize("voxel_size", [-1.0, 0.15])
@@ -268,10 +333,11 @@ def test_the_clouds_are_not_modified(pair):
 
 
 def test_voxels_thin_both_clouds_first(pair):
-    thinned = [c.voxel_down_sample(0.2) for c in (pair.source, pair.target)]
+    bare = [legacy_cloud(np.asarray(c.points)) for c in (pair.source, pair.target)]
+    thinned = [c.voxel_down_sample(0.2) for c in bare]
     assert len(thinned[0].points) < 300
     expected = registration_adaptive_gmm(*thinned, 0.05)
-    result = registration_adaptive_gmm(pair.source, pair.target, 0.05, voxel_size=0.2)
+    result = registration_adaptive_gmm(*bare, 0.05, voxel_size=0.2)
     assert bits(result) == bits(expected)
     assert len(result.details.row_weights) == len(thinned[0].points)
 

@@ -3,15 +3,18 @@ estimation methods, checked at the door."""
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Literal, get_args
 
 import open3d as o3d
 
 from adagmm_o3d.arguments import real_number
 from adagmm_o3d.errors import InputError, InputTypeError
+from adagmm_o3d.kernels.limits import EPSILON
 
 DEFAULT_MAX_ITERATION = 200
 DEFAULT_RELATIVE_RMSE = 1e-3
@@ -25,6 +28,14 @@ SigmaRuleName = Literal["posterior", "annealed", "nearest", "figure2"]
 StartName = Literal["auto", "init", "centroids"]
 # What is called after each EM iteration, with what `registration_adaptive_gmm` says of it.
 Callback = Callable[[dict[str, Any]], None]
+
+# What an estimation method of Open3D looks at and ours does not.
+UNUSED = {
+    "TransformationEstimationForColoredICP": "colours are not looked at",
+    "TransformationEstimationForDopplerICP": "Doppler velocities are not looked at",
+}
+
+_log = logging.getLogger("adagmm_o3d")
 
 LEGACY, TENSOR = o3d.pipelines.registration, o3d.t.pipelines.registration
 
@@ -88,7 +99,7 @@ class TransformationEstimationForAdaptiveGMM:
 
 
 def check_estimation_method(value: Any) -> TransformationEstimationForAdaptiveGMM:
-    """The options of `estimation_method`; None and Open3D's own methods stand for the defaults.
+    """The options of `estimation_method`; None and Open3D's own methods, said once on the log, stand for the defaults.
 
     Raises
     ------
@@ -108,7 +119,46 @@ def check_estimation_method(value: Any) -> TransformationEstimationForAdaptiveGM
         raise InputError(
             "estimation_method: with_scaling is on, but a rigid registration estimates no scale; turn it off"
         )
+    _say_what_stands_for(type(value).__name__, _robust_kernel(value))
     return TransformationEstimationForAdaptiveGMM()
+
+
+def surface_thickness(estimation_method: Any) -> float:
+    """The variance across the surface of covariances that a cloud lacks: `epsilon` of Open3D's method for GICP.
+
+    Raises
+    ------
+    InputError : an epsilon that is not in (0, 1].
+    """
+    if not isinstance(estimation_method, LEGACY.TransformationEstimationForGeneralizedICP):
+        return EPSILON
+    epsilon = real_number("estimation_method.epsilon", estimation_method.epsilon, above=0.0)
+    if epsilon > 1.0:
+        raise InputError(f"estimation_method.epsilon: expected at most 1, got {epsilon:g}")
+    return epsilon
+
+
+def _robust_kernel(method: Any) -> str | None:
+    """The name of the robust kernel that one of Open3D's methods was given, unless it is the one that does nothing."""
+    kernel = getattr(method, "kernel", None)
+    if kernel is None:
+        return None
+    name: str = kernel.type.name if isinstance(kernel, TENSOR.robust_kernel.RobustKernel) else type(kernel).__name__
+    return None if name == "L2Loss" else name
+
+
+@cache
+def _say_what_stands_for(method: str, kernel: str | None) -> None:
+    """What becomes of one of Open3D's methods; a warning where something that its user chose has no counterpart."""
+    dropped = [UNUSED[method]] if method in UNUSED else []
+    if kernel is not None:
+        dropped.append(f"the robust kernel {kernel} is not needed, as points without a partner have no weight")
+    _log.log(
+        logging.WARNING if dropped else logging.INFO,
+        "estimation_method: %s stands for TransformationEstimationForAdaptiveGMM()%s",
+        method,
+        "".join(f"; {reason}" for reason in dropped),
+    )
 
 
 def check_criteria(value: Any) -> Criteria:

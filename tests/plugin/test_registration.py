@@ -1,5 +1,6 @@
 """`registration_adaptive_gmm` in place of Open3D's ICP and GICP: legacy clouds."""
 
+import logging
 import os
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from adagmm_o3d import (
     registration_adaptive_gmm,
 )
 from adagmm_o3d.evaluation import pose_errors
+from adagmm_o3d.options import _say_what_stands_for
 
 reg = o3d.pipelines.registration
 
@@ -216,6 +218,65 @@ def test_open3ds_estimation_methods_stand_for_the_default(pair, method):
     expected = registration_adaptive_gmm(pair.source, pair.target, 0.05)
     result = registration_adaptive_gmm(pair.source, pair.target, 0.05, np.eye(4), method)
     assert bits(result) == bits(expected)
+
+
+@pytest.fixture
+def log(caplog):
+    """What is said once is said again."""
+    _say_what_stands_for.cache_clear()
+    caplog.set_level(logging.INFO, logger="adagmm_o3d")
+    return caplog
+
+
+tensor_kernel = o3d.t.pipelines.registration.robust_kernel
+
+
+@pytest.mark.parametrize(
+    ("method", "level", "said"),
+    [
+        (reg.TransformationEstimationPointToPlane(), "INFO", ""),
+        (reg.TransformationEstimationPointToPlane(reg.L2Loss()), "INFO", ""),
+        (reg.TransformationEstimationForGeneralizedICP(), "INFO", ""),
+        (o3d.t.pipelines.registration.TransformationEstimationPointToPlane(), "INFO", ""),
+        (reg.TransformationEstimationForColoredICP(), "WARNING", "; colours are not looked at"),
+        (
+            reg.TransformationEstimationPointToPlane(reg.TukeyLoss(k=0.1)),
+            "WARNING",
+            "; the robust kernel TukeyLoss is not needed, as points without a partner have no weight",
+        ),
+        (
+            o3d.t.pipelines.registration.TransformationEstimationPointToPlane(
+                tensor_kernel.RobustKernel(tensor_kernel.RobustKernelMethod.HuberLoss, 0.1)
+            ),
+            "WARNING",
+            "; the robust kernel HuberLoss is not needed, as points without a partner have no weight",
+        ),
+    ],
+)
+def test_what_stands_for_open3ds_method_is_said_once(pair, log, method, level, said):
+    for _ in range(2):
+        registration_adaptive_gmm(pair.source, pair.target, 0.05, np.eye(4), method)
+    name = type(method).__name__
+    assert [(r.levelname, r.getMessage()) for r in log.records] == [
+        (level, f"estimation_method: {name} stands for TransformationEstimationForAdaptiveGMM(){said}")
+    ]
+
+
+def test_our_own_options_are_no_news(pair, log):
+    for method in (None, TransformationEstimationForAdaptiveGMM()):
+        registration_adaptive_gmm(pair.source, pair.target, 0.05, np.eye(4), method)
+    assert log.records == []
+
+
+def test_the_thickness_of_gicp_is_that_of_the_surface(pair):
+    method = reg.TransformationEstimationForGeneralizedICP(epsilon=0.05)
+    result = registration_adaptive_gmm(pair.source, pair.target, 0.05, np.eye(4), method)
+    given = [
+        legacy_cloud(np.asarray(c.points), covariances=estimate_surface_covariances(c.points, c.normals, epsilon=0.05))
+        for c in (pair.source, pair.target)
+    ]
+    assert bits(result) == bits(registration_adaptive_gmm(*given, 0.05))
+    assert bits(result) != bits(registration_adaptive_gmm(pair.source, pair.target, 0.05))
 
 
 def test_init_is_where_it_starts(pair):

@@ -161,10 +161,11 @@ def _say_what_stands_for(method: str, kernel: str | None) -> None:
     )
 
 
-def check_criteria(value: Any) -> Criteria:
+def check_criteria(value: Any, *, name: str = "criteria") -> Criteria:
     """When to stop, from Open3D's ICPConvergenceCriteria, legacy or tensor; None and Open3D's defaults for ours.
 
-    `relative_fitness` is not needed: the share of points with a partner settles with the pose.
+    `name` is what an error calls it. `relative_fitness` is not needed: the share of points with a partner settles with
+    the pose.
 
     Raises
     ------
@@ -174,11 +175,11 @@ def check_criteria(value: Any) -> Criteria:
     if value is None:
         return ours
     if not isinstance(value, (LEGACY.ICPConvergenceCriteria, TENSOR.ICPConvergenceCriteria)):
-        raise InputTypeError(f"criteria: expected Open3D's ICPConvergenceCriteria, got {type(value).__name__}")
+        raise InputTypeError(f"{name}: expected Open3D's ICPConvergenceCriteria, got {type(value).__name__}")
     if value.max_iteration < 0:
-        raise InputError(f"criteria.max_iteration: expected at least 0, got {value.max_iteration}")
+        raise InputError(f"{name}.max_iteration: expected at least 0, got {value.max_iteration}")
     if not 0.0 <= value.relative_rmse < math.inf:
-        raise InputError(f"criteria.relative_rmse: expected a finite number >= 0, got {value.relative_rmse:g}")
+        raise InputError(f"{name}.relative_rmse: expected a finite number >= 0, got {value.relative_rmse:g}")
     if (value.relative_fitness, value.relative_rmse, value.max_iteration) == OPEN3D_DEFAULTS:
         return ours
     return Criteria(float(value.relative_rmse), int(value.max_iteration))

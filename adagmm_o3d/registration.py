@@ -91,6 +91,11 @@ def registration_adaptive_gmm(
     check_criteria(criteria)
     check_callback(callback_after_iteration)
     thickness = surface_thickness(estimation_method)
+    if isinstance(max_correspondence_distance, (list, tuple, o3d.utility.DoubleVector)):
+        raise InputTypeError(
+            f"max_correspondence_distance: expected a real number, got {type(max_correspondence_distance).__name__}; "
+            "for several sizes see multi_scale_registration_adaptive_gmm()"
+        )
     distance = distance_limit("max_correspondence_distance", max_correspondence_distance)
     voxel_size = real_number("voxel_size", voxel_size)
     if isinstance(source, o3d.t.geometry.PointCloud) and isinstance(target, o3d.t.geometry.PointCloud):

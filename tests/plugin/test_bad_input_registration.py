@@ -380,7 +380,11 @@ def test_tensor_clouds_without_positions_or_of_another_dtype():
         (None, InputTypeError, "expected a real number, got NoneType"),
         ("0.1", InputTypeError, "expected a real number, got str"),
         (True, InputTypeError, "expected a real number, got bool"),
-        ([0.1, 0.05], InputTypeError, "expected a real number, got list"),
+        (
+            [0.1, 0.05],
+            InputTypeError,
+            "expected a real number, got list; for several sizes see multi_scale_registration_adaptive_gmm()",
+        ),
     ],
 )
 def test_distances(make, distance, error, message):

@@ -189,7 +189,10 @@ def information_matrix(
     max_correspondence_distance: float,
     transformation: ArrayLike,
 ) -> Array:
-    """Open3D's `get_information_matrix_from_point_clouds` on arrays, in the plane too: what a pose graph takes.
+    """Open3D's `get_information_matrix_from_point_clouds` on arrays, in the plane too: what its pose graphs take.
+
+    `global_optimization` reads its last entry as the number of pairs, and from that how wrong an edge has to be before it
+    is dropped. The inverse of a result's `pose_covariance` is no such matrix; it suits optimisers without that rule.
 
     Σ Jᵀ J over the corresponding target points q, with J = [−hat(q), I] the motion of q under a left perturbation
     (ω, v): every corresponding pair counts as one measurement of unit variance along each axis.

@@ -14,8 +14,8 @@ from adagmm_o3d.arguments import Array, distance_limit, float_array
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.neighbors import NeighborIndex
 
-POSE_TOLERANCE = 1e-3
-"""Largest entry of RᵀR − I that is put down to rounding."""
+POSE_TOLERANCE = 1e-2
+"""Largest entry of RᵀR − I that is put down to rounding; a rotation with three digits has up to 2e-3."""
 
 
 @dataclass(frozen=True)
@@ -191,8 +191,8 @@ def information_matrix(
 ) -> Array:
     """Open3D's `get_information_matrix_from_point_clouds` on arrays, in the plane too: what its pose graphs take.
 
-    `global_optimization` reads its last entry as the number of pairs, and from that how wrong an edge has to be before it
-    is dropped. The inverse of a result's `pose_covariance` is no such matrix; it suits optimisers without that rule.
+    `global_optimization` reads its last entry as the number of pairs, and from that how wrong an edge has to be before
+    it is dropped. The inverse of a result's `pose_covariance` is no such matrix; it suits optimisers without that rule.
 
     Σ Jᵀ J over the corresponding target points q, with J = [−hat(q), I] the motion of q under a left perturbation
     (ω, v): every corresponding pair counts as one measurement of unit variance along each axis.

@@ -124,9 +124,9 @@ class PointRegistrationResult:
         """(6, 6), in 2D (3, 3), of δ = (ω, v) in exp(δ)·T [rad, input units]; see the module `pose_covariance`.
 
         A free direction has a standard deviation of one radius. None for the paper's own rules and where no pair has
-        any weight. Its inverse is the information matrix of an edge for an optimiser that takes errors as they are (g2o,
-        GTSAM). Open3D's `global_optimization` reads the number of corresponding pairs out of an edge's matrix, to judge
-        which edges to drop: give it that of `evaluation.information_matrix`, or its own function's.
+        any weight. Its inverse is the information matrix of an edge for an optimiser that takes errors as they are
+        (g2o, GTSAM). Open3D's `global_optimization` reads the number of corresponding pairs out of an edge's matrix, to
+        judge which edges to drop: give it that of `evaluation.information_matrix`, or its own function's.
         """
         return self.assess().covariance
 

@@ -10,6 +10,7 @@ from adagmm_o3d.result import PointRegistrationResult, StopReason
 from adagmm_o3d.uncertainty import (
     KinectUncertainty,
     estimate_kinect_covariances,
+    estimate_lidar_covariances,
     estimate_nguyen_covariances,
     estimate_surface_covariances,
     mark_outliers,
@@ -26,6 +27,7 @@ __all__ = [
     "StopReason",
     "TransformationEstimationForAdaptiveGMM",
     "estimate_kinect_covariances",
+    "estimate_lidar_covariances",
     "estimate_nguyen_covariances",
     "estimate_surface_covariances",
     "mark_outliers",

@@ -30,9 +30,10 @@ def register_points(
     ----------
     source, target : (M, D) and (N, D), D = 2 or 3, any real dtype, any unit; at least three points each.
     source_covariances, target_covariances : (M, D, D) and (N, D, D), symmetric positive semidefinite; only their
-        relative size matters, over both clouds. None stands for the identity at every point. Singular ones, like those
-        that Open3D estimates on flat faces, are given the thickness of a surface and counted, see `make_mixture`. A
-        point whose covariance is not finite is ignored and counted; more than 1 % of them is an error.
+        relative size matters, over both clouds. None stands for the identity at every point; a cloud in place of an
+        array gets `estimate_surface_covariances`. Singular ones, like those that Open3D estimates on flat faces, are
+        given the thickness of a surface and counted, see `make_mixture`. A point whose covariance is not finite is
+        ignored and counted; more than 1 % of them is an error.
     init : (D+1, D+1) rigid transformation source → target; a rotation written with few digits is made exact. Other than
         the identity it is believed as long as it leads to a plausible overlap: the search stays near it. The identity,
         or None, leaves the choice between the identity and common centroids, with starts around, to the likelihood.

@@ -351,8 +351,9 @@ def test_three_points_with_normals_are_enough():
         registration_adaptive_gmm(legacy_cloud(points), cloud, 0.05)
 
 
+@pytest.mark.parametrize("dtype", [None, o3d.core.float32, o3d.core.float64])
 @pytest.mark.parametrize("voxel_size", [-1.0, 0.15])
-def test_open3ds_covariances_of_flat_faces_are_taken(voxel_size):
+def test_open3ds_covariances_of_flat_faces_are_taken(voxel_size, dtype):
     o3d.utility.random.seed(0)
     box = o3d.geometry.TriangleMesh.create_box(1.0, 2.0, 3.0)
     source, target = box.sample_points_uniformly(3000), box.sample_points_uniformly(3000)
@@ -360,11 +361,16 @@ def test_open3ds_covariances_of_flat_faces_are_taken(voxel_size):
     target.transform(T)
     for cloud in (source, target):
         cloud.estimate_covariances()
-    result = registration_adaptive_gmm(source, target, 0.1, np.eye(4), voxel_size=voxel_size)
+    clouds = [source, target]
+    if dtype is not None:
+        for k, cloud in enumerate((source, target)):
+            clouds[k] = o3d.t.geometry.PointCloud.from_legacy(cloud, dtype)
+            clouds[k].point.covariances = o3d.core.Tensor(np.asarray(cloud.covariances), dtype)
+    result = registration_adaptive_gmm(*clouds, 0.1, np.eye(4), voxel_size=voxel_size)
     least = 1000 if voxel_size < 0 else 200
     assert result.details.regularised_source > least and result.details.regularised_target > least
     assert result.details.trustworthy
-    errors = pose_errors(T, result.transformation)
+    errors = pose_errors(T, result.details.transformation)
     assert errors.rotation_deg < 0.02 and errors.translation < 1e-3
 
 

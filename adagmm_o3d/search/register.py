@@ -34,8 +34,8 @@ from adagmm_o3d.trust.pose_covariance import uncertainty_out
 PLAUSIBLE = 0.1
 # Starts that differ by less than this, in radii, lead to the same end: σ = 0.3 does not tell them apart.
 SAME_START = 0.1
-# No more than this share of `max_iteration` is reported of the search.
-SEARCHING = 1.0 / 3.0
+# No more than a third of `max_iteration` is reported of the search.
+SEARCHING = 3
 # The paper's wide mixtures converge slowly: their steps are short long before the end.
 SLOW = 0.01
 
@@ -143,7 +143,7 @@ def _find(
 def _within(limits: Criteria, end: End) -> tuple[End, Criteria]:
     """An end with as much of the way there as is reported, and what `max_iteration` leaves for the last level."""
     found = end.iterations
-    kept = min(len(found), int(SEARCHING * limits.max_iteration))
+    kept = min(len(found), limits.max_iteration // SEARCHING)
     limits = replace(limits, max_iteration=limits.max_iteration - kept)
     left_out = len(found) - kept
     if left_out == 0:

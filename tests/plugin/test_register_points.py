@@ -146,6 +146,46 @@ def test_the_first_pose_is_the_init(dimension, rule):
 
 
 @dimensions
+@rules
+def test_an_init_of_three_digits_is_made_exact(dimension, rule):
+    motion = Motion(dimension)
+    method = TransformationEstimationForAdaptiveGMM(sigma_rule=rule)
+    result = motion.register(init=np.round(motion.T, 3), estimation_method=method)
+    first = result.transformations[0]
+    np.testing.assert_allclose(first[:-1, :-1] @ first[:-1, :-1].T, np.eye(dimension), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(first, motion.T, rtol=0, atol=1e-3)
+
+
+@dimensions
+@rules
+@pytest.mark.parametrize("given", [True, False])
+def test_no_iterations_leave_the_start_as_it_is(dimension, rule, given):
+    motion = Motion(dimension)
+    init = motion.T if given else None
+    method = TransformationEstimationForAdaptiveGMM(sigma_rule=rule, start="centroids")
+    criteria = o3d.pipelines.registration.ICPConvergenceCriteria(max_iteration=0)
+    seen = []
+    result = motion.register(
+        init=init, estimation_method=method, criteria=criteria, callback_after_iteration=seen.append
+    )
+    np.testing.assert_array_equal(result.transformation, motion.T if given else np.eye(dimension + 1))
+    np.testing.assert_array_equal(result.transformations, result.transformation[None])
+    assert (result.iterations, result.stop_reason, result.sigma, seen) == (0, StopReason.MAX_ITERATION, 0.0, [])
+    assert result.row_weights.shape == (SIZE[dimension],) and (result.overlap > 0.8) == given
+    assert result.pose_covariance is None and not result.trustworthy
+
+
+def test_a_far_start_is_left_where_it_is_as_well():
+    motion = Motion(3)
+    init = np.eye(4)
+    init[:3, 3] = 1e9
+    criteria = o3d.pipelines.registration.ICPConvergenceCriteria(max_iteration=0)
+    result = motion.register(init=init, criteria=criteria)
+    np.testing.assert_array_equal(result.transformation, init)
+    assert result.overlap == 0.0
+
+
+@dimensions
 def test_too_few_iterations_are_admitted(dimension):
     criteria = o3d.pipelines.registration.ICPConvergenceCriteria(max_iteration=1)
     result = Motion(dimension).register(criteria=criteria)

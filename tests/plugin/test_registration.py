@@ -180,6 +180,10 @@ def test_a_criterion_counts_as_soon_as_one_is_chosen(pair):
     for most in range(1, 40):
         details = run(max_iteration=most)
         assert details.iterations <= most and (details.converged or details.iterations == most)
+        assert len(details.transformations) == len(details.sigmas) + 1 == details.iterations + 1
+        # what is reported begins somewhere on the way of the search, which is the same, and ends at the pose
+        assert (default.transformations == details.transformations[0]).all(axis=(1, 2)).any()
+        np.testing.assert_array_equal(details.transformations[-1], details.transformation)
     assert run(relative_rmse=1e-9, max_iteration=2000).iterations > default.iterations
 
 

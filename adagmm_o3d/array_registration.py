@@ -29,15 +29,19 @@ def register_points(
     Parameters
     ----------
     source, target : (M, D) and (N, D), D = 2 or 3, any real dtype, any unit; at least three points each.
-    source_covariances, target_covariances : (M, D, D) and (N, D, D), symmetric positive definite; only their relative
-        size matters, over both clouds. None stands for the identity at every point. A point whose covariance is not
-        finite is ignored and counted; more than 1 % of them is an error.
-    init : (D+1, D+1) rigid transformation source → target. Other than the identity it is believed as long as it leads
-        to a plausible overlap: the search stays near it. The identity, or None, leaves the choice between the identity
-        and common centroids, with starts around, to the likelihood. "global" searches all rotations.
+    source_covariances, target_covariances : (M, D, D) and (N, D, D), symmetric positive semidefinite; only their
+        relative size matters, over both clouds. None stands for the identity at every point; a cloud in place of an
+        array gets `estimate_surface_covariances`. Singular ones, like those that Open3D estimates on flat faces, are
+        given the thickness of a surface and counted, see `make_mixture`. A point whose covariance is not finite is
+        ignored and counted; more than 1 % of them is an error.
+    init : (D+1, D+1) rigid transformation source → target; a rotation written with few digits is made exact. Other than
+        the identity it is believed as long as it leads to a plausible overlap: the search stays near it. The identity,
+        or None, leaves the choice between the identity and common centroids, with starts around, to the likelihood.
+        "global" searches all rotations.
     estimation_method : the options; None, or one of Open3D's own, for the defaults.
     criteria : Open3D's ICPConvergenceCriteria; `relative_rmse` bounds the last step (see `options.Criteria`),
-        `max_iteration` the EM iterations on all points (the levels before have a few dozen). None for 1e-3 and 200.
+        `max_iteration` the iterations reported; with 0 of them `init`, or the identity, is the result. None, or
+        Open3D's own defaults, for 1e-3 and 200.
     device : "cpu", "cuda", or "auto": a GPU where there is one and enough to do. The coarse levels stay on the CPU.
     callback_after_iteration : called after each EM iteration with a dictionary, see `registration_adaptive_gmm`.
 

@@ -77,13 +77,15 @@ class PointRegistrationResult:
 
     transformation : (D+1, D+1), source → target, input units.
     stop_reason, converged : why the loop ended; converged only when the pose had stopped moving at the final σ.
-    iterations : EM iterations K on the way from the start that won, on all levels.
+    iterations : EM iterations K on the way from the start that won, on all levels; `max_iteration` at most. No
+        more than a third of that is the coarse levels', the last ones there: what came before only found the start.
     sigmas : (K,) the scale of the mixtures in each iteration: σ·Σ is a covariance in input units², Σ as given. The
         rule "figure2" scales the source's alone.
     energies : (K,) the paper's Eq. 5 in each iteration, in squared Mahalanobis distances, per unit of pair weight.
-    transformations : (K+1, D+1, D+1) the pose before the first iteration and after each. The first is that of the start
-        that won the search, which need not be `init`.
+    transformations : (K+1, D+1, D+1) the pose before the first iteration and after each. The first is where the search
+        left off or that of the start that won it, which need not be `init`.
     dropped_source, dropped_target : points ignored because their covariance is not finite.
+    regularised_source, regularised_target : points whose covariance was singular and was given some thickness.
     ambiguous : another, clearly different pose explains the clouds as well. Only a global search can tell.
     doubts : one line for each reason not to trust the result that the registration itself came upon.
     find_partners, assess : what the final pose says of the points, and its uncertainty. They cost about as much as one
@@ -100,6 +102,8 @@ class PointRegistrationResult:
     transformations: Array
     dropped_source: int
     dropped_target: int
+    regularised_source: int
+    regularised_target: int
     ambiguous: bool
     doubts: tuple[str, ...]
     find_partners: Deferred[Partners]
@@ -120,7 +124,9 @@ class PointRegistrationResult:
         """(6, 6), in 2D (3, 3), of δ = (ω, v) in exp(δ)·T [rad, input units]; see the module `pose_covariance`.
 
         A free direction has a standard deviation of one radius. None for the paper's own rules and where no pair has
-        any weight. Its inverse is the information matrix of a pose graph's edge.
+        any weight. Its inverse is the information matrix of an edge for an optimiser that takes errors as they are
+        (g2o, GTSAM). Open3D's `global_optimization` reads the number of corresponding pairs out of an edge's matrix, to
+        judge which edges to drop: give it that of `evaluation.information_matrix`, or its own function's.
         """
         return self.assess().covariance
 

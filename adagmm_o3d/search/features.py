@@ -1,8 +1,8 @@
 """Poses proposed by local features: where both clouds look alike, wherever they start and however little they share.
 
-Both clouds are thinned evenly, each point gets a feature of its neighbourhood, points whose features are nearest to each
-other become correspondences, and sets of these that keep their mutual distances become poses. Most correspondences are
-wrong; sets of wrong ones rarely keep their distances.
+Both clouds are thinned evenly, each point gets a feature of its neighbourhood, points whose features are nearest to
+each other become correspondences, and sets of these that keep their mutual distances become poses. Most correspondences
+are wrong; sets of wrong ones rarely keep their distances.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ THINNED, THINNED_FROM, POINTS_EACH, FEWEST = 1000, 20_000, 1.1, 40
 NORMAL_RADIUS, NORMAL_POINTS, FEATURE_RADIUS = 1.5, 10, 5.0
 # The correspondences that features agree on best.
 CORRESPONDENCES = 600
-# Two correspondences are compatible when their distances agree to so many edges and the cosines of their normals to this.
+# Two correspondences are compatible when their distances agree to so many edges and the cosines of their normals to
+# this.
 TOLERANCE, TURN = 1.5, 0.35
 # So many correspondences, each with the others that it shares most support with, are made into poses.
 SEEDS, CONSENSUS = 30, 20
@@ -46,7 +47,8 @@ class Thinned(NamedTuple):
 
 
 def feature_poses(source: Mixture, target: Mixture) -> list[Array]:
-    """Poses (4, 4) between two normalised mixtures in space, most supported first; none where no shape is recognised."""
+    """Poses (4, 4) between two normalised mixtures in space, most supported first; none where no shape is
+    recognised."""
     parts = [_some_points(mixture) for mixture in (source, target)]
     edge = max(_grid_edge(points, mixture) for points, mixture in zip(parts, (source, target), strict=True))
     moving, fixed = (_thinned(points, edge) for points in parts)

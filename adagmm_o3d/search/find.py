@@ -26,7 +26,10 @@ ESTABLISHED = 0.4
 # where it stands by itself, more where neither does.
 BETTER, MUCH_BETTER = 0.05, 0.4
 # Two clearly different poses whose evidence differs by less cannot be told apart.
-AMBIGUOUS = 0.05
+AMBIGUOUS, AMBIGUOUS_LIKELIHOOD = 0.05, 0.15
+# A given start is believed when this share of the points has a partner where it leads, or when that is likelier than no
+# overlap at all.
+PLAUSIBLE, PLAUSIBLE_EVIDENCE = 0.1, 0.0
 
 
 @dataclass(frozen=True)
@@ -58,8 +61,9 @@ def find(
     All of it between the normalised mixtures.
     """
     believed = given if given is not None else identity
-    bases = [base for base in (believed, np.eye(4) if centroids and given is None else None) if base is not None]
-    bases = bases[::-1] or [np.eye(4)]
+    bases = [base for base in (np.eye(4) if centroids and given is None else None, believed) if base is not None]
+    if everywhere or not bases:
+        bases = [np.eye(4)]
     if pose_distance(bases[0], bases[-1]) < SAME_START:
         bases = bases[:1]
     first = None
@@ -67,26 +71,34 @@ def find(
         first = first_end(levels, [starts.wide(base) for base in bases])
         if is_tight(levels, first[1]) or not search:
             return Found(first[1], False, None)
+    nearby = [] if everywhere or believed is None else levels.run(levels.schedule.near, starts.near(believed), 2)
     judge = Judge(levels, viewpoints)
     if levels.source.dimension == 2 or not judge.sharp:
         # Noise hides the shape at the scale of the points: the likelihood at the noise's own scale decides.
-        ends = search_globally(levels) if first is None else search_around(levels, _others(levels, bases), first)
-        return Found(ends[0], _is_ambiguous([(end, end.log_likelihood) for end in ends], 0.15), None)
-    near = (
-        []
-        if everywhere or believed is None
-        else _judged(judge, levels.run(levels.schedule.near, starts.near(believed), 2))
-    )
+        if first is None:
+            ends = search_globally(levels)
+        elif given is not None and _most_likely([first[1], *nearby]).unmatched <= 1.0 - PLAUSIBLE:
+            return Found(_most_likely([first[1], *nearby]), False, None)
+        else:
+            ends = search_around(levels, _others(levels, bases), first)
+        return Found(ends[0], _is_ambiguous([(end, end.log_likelihood) for end in ends], AMBIGUOUS_LIKELIHOOD), None)
+    near = _judged(judge, nearby)
+    if given is not None and near and max(value for _, value in near) >= PLAUSIBLE_EVIDENCE:
+        return _chosen(near, [])
     rest = [] if first is None else [first[1]]
     if levels.source.dimension == 3:
         rest += _proposed(levels, feature_poses(levels.source, levels.target))
     pool = _judged(judge, rest)
     if not pool or max(value for _, value in [*near, *pool]) < ESTABLISHED:
         more = search_globally(levels) if first is None else search_around(levels, _others(levels, bases), first)
-        if all(viewpoint is not None for viewpoint in viewpoints):
-            more += starts_in_place(levels, viewpoints)
+        if viewpoints[0] is not None and viewpoints[1] is not None:
+            more += starts_in_place(levels, viewpoints[0], viewpoints[1])
         pool += _judged(judge, more)
     return _chosen(near, pool)
+
+
+def _most_likely(ends: list[End]) -> End:
+    return max(ends, key=lambda end: end.log_likelihood)
 
 
 def _others(levels: Levels, bases: list[Array]) -> list[Start]:
@@ -105,10 +117,10 @@ def _proposed(levels: Levels, poses: list[Array]) -> list[End]:
     return levels.run(level, begin, 2)
 
 
-def starts_in_place(levels: Levels, viewpoints: tuple[Array | None, Array | None]) -> list[End]:
+def starts_in_place(levels: Levels, source_viewpoint: Array, target_viewpoint: Array) -> list[End]:
     """Where a sensor leads that was turned, not moved, between the two clouds."""
     level = levels.schedule.in_place
-    poses = starts.turned_in_place(*viewpoints)
+    poses = starts.turned_in_place(source_viewpoint, target_viewpoint)
     begin = [Start(pose, level.sigma or 0.0, 0.4, level.fastest, level.iterations, level.follow) for pose in poses]
     ends = distinct(levels.run(level, begin, 0), level.kept, level.apart)
     return levels.carry_on(levels.schedule.proposed, ends, 2)

@@ -1,7 +1,7 @@
 """What a sensor has seen to be empty: nothing can stand in front of the surface that it measured.
 
-Where it is known from where a cloud was seen, each of its points says that the way there is free. Two poses may match the
-same share of the surfaces; the one that puts points of one cloud before what the other's sensor saw is wrong.
+Where it is known from where a cloud was seen, each of its points says that the way there is free. Two poses may match
+the same share of the surfaces; the one that puts points of one cloud before what the other's sensor saw is wrong.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adagmm_o3d.arguments import Array
 
@@ -65,5 +66,5 @@ class RangeImage:
         x, y, z = self._axes @ directions.T
         return np.stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))], axis=1)
 
-    def _pixels(self, angles: Array) -> Array:
+    def _pixels(self, angles: Array) -> NDArray[np.int64]:
         return np.floor((angles - self._corner) / self._pixel).astype(np.int64)

@@ -1,9 +1,10 @@
-"""Which of many poses to believe: how well each explains both clouds at the finest scale at which they know their shape.
+"""Which of many poses to believe: how well each explains both clouds at the finest scale at which they know their
+shape.
 
-A loose fit of everything beats the exact fit of a half while the mixtures are wide, and every end of EM has a width of its
-own. So all poses are compared at one scale, the finest at which one half of a cloud still explains the other: below it,
-noise and sampling decide. Covariances that are thin across the surface make it a matter of normals too. Where viewpoints
-are known, points that one sensor has seen through count against a pose.
+A loose fit of everything beats the exact fit of a half while the mixtures are wide, and every end of EM has a width of
+its own. So all poses are compared at one scale, the finest at which one half of a cloud still explains the other: below
+it, noise and sampling decide. Covariances that are thin across the surface make it a matter of normals too. Where
+viewpoints are known, points that one sensor has seen through count against a pose.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.lie import se_inverse
 from adagmm_o3d.mixtures.merging import MergedMixture
+from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.sampling import quantile, some_of
 from adagmm_o3d.search.free_space import RangeImage
 from adagmm_o3d.search.levels import Levels, spacing_of
@@ -47,7 +49,8 @@ class Judge:
     def __init__(self, levels: Levels, viewpoints: tuple[Array | None, Array | None]) -> None:
         self._sides = levels.sampled(JUDGED)
         self.sigma, self.reference, coarsened = self._finest_scale()
-        # Whether the points' own spacing, or nearly, is the scale: where noise hides it, there is no shape to recognise.
+        # Whether the points' own spacing, or nearly, is the scale: where noise hides it, there is no shape to
+        # recognise.
         self.sharp = coarsened <= SHARP and self.reference >= KNOWN_SHAPE
         self._seen = [
             None if viewpoint is None else RangeImage(_some_points(mixture, IMAGED), viewpoint)
@@ -86,7 +89,7 @@ class Judge:
         raise AssertionError
 
 
-def _some_points(mixture, count: int) -> Array:  # type: ignore[no-untyped-def]
+def _some_points(mixture: Mixture, count: int) -> Array:
     return mixture.points_at(some_of(np.arange(len(mixture)), count))
 
 

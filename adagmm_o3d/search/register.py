@@ -13,27 +13,25 @@ from numpy.typing import ArrayLike
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.expectation import AdaptiveExpectation
-from adagmm_o3d.em.loop import expectation_maximisation
+from adagmm_o3d.em.loop import Outcome, expectation_maximisation
 from adagmm_o3d.em.sigma_rules import Annealed, FigureTwo, NearestDistance, SigmaRule
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.lie import project_to_rotation, split
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.normalisation import Normalisation, normalise
-from adagmm_o3d.options import Callback, Criteria, TransformationEstimationForAdaptiveGMM
+from adagmm_o3d.options import INIT_TOLERANCE, Callback, Criteria, TransformationEstimationForAdaptiveGMM
 from adagmm_o3d.pairs.device import make_pair_loop
 from adagmm_o3d.result import Iteration, PointRegistrationResult, PoseUncertainty, StopReason
 from adagmm_o3d.search.find import find
 from adagmm_o3d.search.levels import Levels
 from adagmm_o3d.search.refinement import refine
+from adagmm_o3d.search.runs import End
 from adagmm_o3d.search.schedule import SCHEDULE
 from adagmm_o3d.trust.conclusion import conclude, lower, no_partners, partners_of
 from adagmm_o3d.trust.pose_covariance import uncertainty_out
 
-# A pose handed over by another program has float32 digits.
-INIT_TOLERANCE = 1e-4
-# A given start is believed when this share of the source has a partner where it leads.
-PLAUSIBLE = 0.1
-# Starts that differ by less than this, in radii, lead to the same end: σ = 0.3 does not tell them apart.
+# No more than a third of `max_iteration` is reported of the search.
+SEARCHING = 3
 # The paper's wide mixtures converge slowly: their steps are short long before the end.
 SLOW = 0.01
 
@@ -56,6 +54,8 @@ def register_mixtures(
         raise InputError(f"init: expected a pose or 'global', got {init!r}")
     everywhere = isinstance(init, str)
     given = None if init is None or everywhere else _start_pose(init, normalisation, dimension)
+    if limits.max_iteration == 0:
+        return _stay(moving, fixed, init, given, normalisation, device)
     ambiguous, assess = False, _unknown
     if method.sigma_rule == "posterior":
         levels = Levels(moving, fixed, SCHEDULE)
@@ -69,7 +69,8 @@ def register_mixtures(
             search=method.search,
             viewpoints=normalisation.points_in(*viewpoints),
         )
-        best, ambiguous = found.end, found.ambiguous
+        ambiguous = found.ambiguous
+        best, limits = _within(limits, found.end)
         if observe is not None:
             for iteration in best.iterations:
                 observe(iteration)
@@ -113,6 +114,50 @@ def register_mixtures(
         find_partners=find_partners,
         assess=assess,
     )
+
+
+def _within(limits: Criteria, end: End) -> tuple[End, Criteria]:
+    """An end with as much of the way there as is reported, and what `max_iteration` leaves for the last level."""
+    found = end.iterations
+    kept = min(len(found), limits.max_iteration // SEARCHING)
+    limits = replace(limits, max_iteration=limits.max_iteration - kept)
+    left_out = len(found) - kept
+    if left_out == 0:
+        return end, limits
+    trail = []
+    start, rest = found[left_out - 1].pose, left_out
+    for level, rows in end.trail:
+        trail.append((level, rows[min(rest, len(rows)) :]))
+        rest -= min(rest, len(rows))
+    return end._replace(start=start, trail=tuple(trail)), limits
+
+
+def _stay(
+    moving: Mixture,
+    fixed: Mixture,
+    init: ArrayLike | str | None,
+    given: Array | None,
+    normalisation: Normalisation,
+    device: str,
+) -> PointRegistrationResult:
+    """The start, to the last bit, as the result of no iteration."""
+    if isinstance(init, str):
+        raise InputError("criteria.max_iteration: expected at least 1 as init='global' names no pose, got 0")
+    dimension = moving.dimension
+    pose = normalisation.pose_in(np.eye(4)) if given is None else given
+    pairs = make_pair_loop(moving, fixed, device)
+    result = conclude(
+        pose,
+        Outcome(pose, (), StopReason.MAX_ITERATION),
+        normalisation,
+        moving,
+        fixed,
+        ambiguous=False,
+        find_partners=partial(partners_of, pairs, moving, pose, 0.0),
+        assess=_unknown,
+    )
+    start = np.eye(dimension + 1) if init is None else np.array(init, np.float64)
+    return replace(result, transformation=start, transformations=start[None].copy())
 
 
 def _unknown() -> PoseUncertainty:

@@ -1,7 +1,7 @@
 """The schedule of the search, as a value: what each level looks at, how EM runs there, and what goes on to the next.
 
-Lengths are in radii of the clouds, σ in squared radii. All of it was measured; `adagmm-bench ablation` undoes one choice
-at a time.
+Lengths are in radii of the clouds, σ in squared radii. All of it was measured; `adagmm-bench ablation` undoes one
+choice at a time.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ class Level:
 
     size : components of either mixture, in 2D and in 3D.   merged : whether each stands for many points; otherwise they
     are a sample of the points.   floor : least σ.   least_unmatched : least share of points without a partner.
-    relative_rmse : when a step is short, see `options.Criteria`.   fastest : the share of itself to which σ may fall in an
-    iteration.   iterations : at most.   follow : 1 keeps σ from falling below what the residuals say, 0 lets it fall
-    whatever they say.   sigma : where a start begins that brings none.   kept : ends that go on.   apart : how far their
-    poses have to be from each other, see `runs.pose_distance`.
+    relative_rmse : when a step is short, see `options.Criteria`.   fastest : the share of itself to which σ may fall in
+    an iteration.   iterations : at most.   follow : 1 keeps σ from falling below what the residuals say, 0 lets it fall
+    whatever they say.   sigma : where a start begins that brings none.   kept : ends that go on.   apart : how far
+    their poses have to be from each other, see `runs.pose_distance`.
     """
 
     size: tuple[int, int]
@@ -44,15 +44,13 @@ class Schedule:
     """The levels of the search, and when it is needed.
 
     sketch : many starts tried around a doubtful first end.   merged : the first end, and the best of the sketch.
-    ranking : those again, on points.   deciding : the ends that are compared.
-    grid, grid_merged, grid_ranking, grid_deciding : the same way for a grid of all rotations.
-    proposed : poses that features propose.   near : starts at a pose that the caller gave.   in_place : a sensor turned
-    without being moved.
-    small : clouds of up to so many points decide with all of them; a search among these decides on `small_deciding`: on a
-    part it does better (heavy noise above all).
-    tight, tight_unmatched : residuals within `tight` of the spacing of the points are no coincidence where at most
-    `tight_unmatched` of them have no partner: no search is needed. Of a part of the points that much is found in many
-    poses.
+    ranking : those again, on points.   deciding : the ends that are compared. grid, grid_merged, grid_ranking,
+    grid_deciding : the same way for a grid of all rotations. proposed : poses that features propose.   near : starts at
+    a pose that the caller gave.   in_place : a sensor turned without being moved. small : clouds of up to so many
+    points decide with all of them; a search among these decides on `small_deciding`: on a part it does better (heavy
+    noise above all). tight, tight_unmatched : residuals within `tight` of the spacing of the points are no coincidence
+    where at most `tight_unmatched` of them have no partner: no search is needed. Of a part of the points that much is
+    found in many poses.
     """
 
     sketch: Level = Level((24, 64), True, 2e-3, 0.05, 5e-4, 0.6, 4, 0.0, None, 8, 0.12)

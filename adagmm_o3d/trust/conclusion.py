@@ -44,6 +44,8 @@ def conclude(
         transformations=poses,
         dropped_source=source.dropped,
         dropped_target=target.dropped,
+        regularised_source=source.regularised,
+        regularised_target=target.regularised,
         ambiguous=ambiguous,
         doubts=_doubts(outcome, ambiguous),
         find_partners=Deferred(find_partners),

@@ -11,6 +11,8 @@ N. Gelfand, L. Ikemoto, S. Rusinkiewicz, M. Levoy: Geometrically Stable Sampling
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 
 from adagmm_o3d.arguments import Array
@@ -27,6 +29,8 @@ NEIGHBORS = 20
 # direction. Measured: planes, spheres, cylinders, tubes, circles of 300 to 3000 points, noise up to 0.03 radii, below
 # 0.015; cubes, polygons and irregular bodies above 0.04.
 FREE_SHARE = 0.02
+# Of nothing, a matrix by which another is divided has this share of its trace: far below what float64 sums can mean.
+NOTHING = 1e-12
 
 
 def free_directions(source: Mixture, pose: Array, matched: Array) -> tuple[Array, ...]:
@@ -70,7 +74,12 @@ def _normals(points: Array, dimension: int) -> Array:
 
 
 def generalised_eigen(a: Array, b: Array) -> tuple[Array, Array]:
-    """Ascending λ and the columns x of a x = λ b x; b positive definite."""
-    inverse = np.linalg.inv(np.linalg.cholesky(b))
+    """Ascending λ and the columns x of a x = λ b x; b positive semidefinite.
+
+    Where b says nothing (no point pulls across a flat outline that is registered to itself), a trace of it stands in,
+    and λ is large or, where a says nothing either, zero.
+    """
+    least = max(NOTHING * float(np.trace(b)), sys.float_info.min)
+    inverse = np.linalg.inv(np.linalg.cholesky(b + least * np.eye(len(b))))
     values, vectors = np.linalg.eigh(inverse @ a @ inverse.T)
     return values, inverse.T @ vectors

@@ -1,5 +1,5 @@
-"""Which correspondences could belong to one rigid motion: pairs of them that keep their distance, and how many third ones
-agree with both.
+"""Which correspondences could belong to one rigid motion: pairs of them that keep their distance, and how many third
+ones agree with both.
 
 Source
 ------
@@ -31,7 +31,8 @@ def _build(stamp):
 
     @njit(**SERIAL_KERNEL_FLAGS)
     def shared_support(source, target, source_normals, target_normals, tolerance, turn, support):
-        """`support` (n, n) receives for each two of n correspondences that are compatible how many others are with both.
+        """`support` (n, n) receives for each two of n correspondences that are compatible how many others are with
+        both.
 
         Two are compatible when the distance between their points (n, 3) is the same in both clouds to `tolerance`, and
         the absolute cosine between their normals (n, 3) to `turn`.

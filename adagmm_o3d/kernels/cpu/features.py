@@ -1,8 +1,9 @@
 """Local features that do not know which way a surface faces, and which of two clouds' points look alike by them.
 
-A feature is a fast point feature histogram: how the normals around a point stand to its own, in 3 x 11 bins. Normals from
-neighbourhoods have no sign, so here each neighbour's normal is turned to the side of the point's own. What is left is the
-sign of the point's own normal: turning it reverses the first and the last histogram, and both are tried when matching.
+A feature is a fast point feature histogram: how the normals around a point stand to its own, in 3 x 11 bins. Normals
+from neighbourhoods have no sign, so here each neighbour's normal is turned to the side of the point's own. What is left
+is the sign of the point's own normal: turning it reverses the first and the last histogram, and both are tried when
+matching.
 
 Source
 ------
@@ -129,8 +130,8 @@ def _build(stamp):
 
     @njit(**SERIAL_KERNEL_FLAGS)
     def two_nearest(own, others, best, least):
-        """For each of (n, FEATURE) float32 features its nearest among the (FEATURE, m) `others`, in `best` (n,); and the
-        squared distances of the nearest and of the second nearest in `least` (n, 2)."""
+        """For each of (n, FEATURE) float32 features its nearest among the (FEATURE, m) `others`, in `best` (n,); and
+        the squared distances of the nearest and of the second nearest in `least` (n, 2)."""
         _ = stamp
         m = others.shape[1]
         squares = np.empty(m, np.float32)

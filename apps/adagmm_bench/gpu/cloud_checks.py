@@ -17,7 +17,7 @@ from adagmm_o3d.trust.pose_covariance import SCORED, Fit, score_moments
 # The mixtures are float64, but for the digits that thin covariances lose. Neighbours at nearly the same distance may
 # change places. The scores are sums of float32.
 EXACT, CLOSE, SUMMED = 1e-9, 1e-7, 1e-4
-SIGMA, UNMATCHED, VOLUME, MUTUALITY = 0.02, 0.2, 30.0, 0.5
+SIGMA, UNMATCHED, MUTUALITY = 0.02, 0.2, 0.5
 
 
 def cloud_errors(source: Mixture, target: Mixture, pose: np.ndarray) -> Iterator[tuple[str, float, float]]:
@@ -39,7 +39,7 @@ def cloud_errors(source: Mixture, target: Mixture, pose: np.ndarray) -> Iterator
         yield f"{name} points", _relative(everything.points, theirs.points), EXACT
         yield f"{name} covariances", _relative(everything.covariances, theirs.covariances), EXACT
         yield f"{name} variances", _relative(ours.variances, theirs.variances), EXACT
-    fit = Fit(pose, SIGMA, UNMATCHED, VOLUME, MUTUALITY)
+    fit = Fit(pose, SIGMA, UNMATCHED, MUTUALITY)
     scores = score_moments(CudaPairLoop(moving_there, fixed_there), moving_there, fixed_there, fit)
     expected_scores = score_moments(PairLoop(moving, fixed), moving, fixed, fit)
     if max(len(source), len(target)) <= SCORED:  # else the two look at different points

@@ -10,8 +10,10 @@ from dataclasses import replace
 from typing import Any
 
 from adagmm_bench.methods.variant import Replacement, Variant
+from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.expectation import FINEST_SIGMA, SIGMA_FLOOR
 from adagmm_o3d.em.unmatched import AREA
+from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.search.runs import End, Start, run_starts
 from adagmm_o3d.search.schedule import SCHEDULE
 from adagmm_o3d.search.starts import around
@@ -26,20 +28,20 @@ def run_starts_unaccelerated(*sides: Any, limits: Any, **options: Any) -> list[E
     return run_starts(*sides, limits=replace(limits, accelerated=False), **options)
 
 
-def keep_the_step(residual, deviation, memory, step) -> None:
+def keep_the_step(residual: Array, deviation: float, memory: Array, step: Array) -> None:
     """In place of `accelerate`: `step` holds the residual already."""
 
 
-def no_features(source, target) -> list:
+def no_features(source: Mixture, target: Mixture) -> list[Array]:
     """In place of `feature_poses`: nothing is recognised."""
     return []
 
 
-def shifted_only(pose, dimension: int) -> list[Start]:
+def shifted_only(pose: Array, dimension: int) -> list[Start]:
     return [start for start in around(pose, dimension) if (start.pose[:3, :3] == pose[:3, :3]).all()]
 
 
-def turned_only(pose, dimension: int) -> list[Start]:
+def turned_only(pose: Array, dimension: int) -> list[Start]:
     return [start for start in around(pose, dimension) if (start.pose[:3, 3] == pose[:3, 3]).all()]
 
 

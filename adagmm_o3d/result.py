@@ -36,6 +36,9 @@ class Iteration(NamedTuple):
 
 # With a smaller share of partners than this, anything might fit.
 LEAST_OVERLAP = 0.1
+# Measured evidence: chance fits of unrelated rooms and models up to 0.95, right poses of rooms from 1.1 for nine in
+# ten.
+LEAST_EVIDENCE = 0.9
 
 
 @dataclass(frozen=True)
@@ -88,10 +91,10 @@ class PointRegistrationResult:
     regularised_source, regularised_target : points whose covariance was singular and was given some thickness.
     ambiguous : another, clearly different pose explains the clouds as well. Only a global search can tell.
     doubts : one line for each reason not to trust the result that the registration itself came upon.
-    find_partners, assess : what the final pose says of the points, and its uncertainty. They cost about as much as one
-        iteration on all points and as some, so they run when something of theirs is first asked for: the one for
-        `overlap` and `row_weights`, the other for `pose_covariance` and `unobservable`, both for `warnings`. Until
-        then the clouds are kept for them.
+    find_partners, assess, weigh : what the final pose says of the points, its uncertainty, and how well it explains the
+        clouds. They cost about as much as one iteration on all points and as some, so they run when something of theirs
+        is first asked for: the first for `overlap` and `row_weights`, the second for `pose_covariance` and
+        `unobservable`, the third for `evidence`, all for `warnings`. Until then the clouds are kept for them.
     """
 
     transformation: Array
@@ -108,6 +111,7 @@ class PointRegistrationResult:
     doubts: tuple[str, ...]
     find_partners: Deferred[Partners]
     assess: Deferred[PoseUncertainty]
+    weigh: Deferred[float | None]
 
     @property
     def overlap(self) -> float:
@@ -137,11 +141,20 @@ class PointRegistrationResult:
         return self.assess().unobservable
 
     @property
+    def evidence(self) -> float | None:
+        """Mean log-likelihood of the points at the final pose, both clouds together, beyond that of having no partner
+        at all [nats per point], at a scale four times the finest at which the clouds know their own shape. Below
+        LEAST_EVIDENCE a chance fit does as well. None for the paper's own rules and where no pair has any weight."""
+        return self.weigh()
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """One line for each reason not to trust the result; empty when there is none."""
         reasons = list(self.doubts)
         if self.overlap < LEAST_OVERLAP:
             reasons.append(f"the estimated overlap is only {self.overlap:.0%}")
+        if self.evidence is not None and self.evidence < LEAST_EVIDENCE:
+            reasons.append("the clouds explain each other no better than a chance fit would")
         if free := len(self.unobservable):
             reasons.append(f"the shape leaves {free} direction{'s' if free > 1 else ''} of the pose free")
         return tuple(reasons)

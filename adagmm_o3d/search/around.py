@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 
+from adagmm_o3d.em.runs import End, Start, distinct, pose_distance
 from adagmm_o3d.mixtures.sampling import quantile
 from adagmm_o3d.search.levels import Levels, Sides
-from adagmm_o3d.search.runs import End, Start, distinct, pose_distance
 
 
 def first_end(levels: Levels, starts: list[Start]) -> tuple[End, End]:

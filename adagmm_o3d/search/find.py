@@ -6,19 +6,20 @@ of rotations and from turning a sensor in place; their ends are candidates of on
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from adagmm_o3d.arguments import Array
+from adagmm_o3d.em.runs import End, Start, distinct, pose_distance
 from adagmm_o3d.search import starts
 from adagmm_o3d.search.around import first_end, is_tight, search_around
 from adagmm_o3d.search.features import feature_poses
-from adagmm_o3d.search.judge import Judge
 from adagmm_o3d.search.levels import Levels
 from adagmm_o3d.search.rotations import APART_AMBIGUOUS, search_globally
-from adagmm_o3d.search.runs import End, Start, distinct, pose_distance
 from adagmm_o3d.search.schedule import SAME_START
+from adagmm_o3d.trust.judge import Judge
 
 # Evidence above which a pose stands by itself [nats per point, both clouds together], see `judge.Judge.evidence`.
 ESTABLISHED = 0.4
@@ -26,7 +27,7 @@ ESTABLISHED = 0.4
 # where it stands by itself, more where neither does.
 BETTER, MUCH_BETTER = 0.05, 0.4
 # Two clearly different poses whose evidence differs by less cannot be told apart.
-AMBIGUOUS, AMBIGUOUS_LIKELIHOOD = 0.05, 0.15
+AMBIGUOUS, AMBIGUOUS_LIKELIHOOD = 0.1, 0.15
 # A given start is believed when this share of the points has a partner where it leads, or when that is likelier than no
 # overlap at all.
 PLAUSIBLE, PLAUSIBLE_EVIDENCE = 0.1, 0.0
@@ -34,11 +35,10 @@ PLAUSIBLE, PLAUSIBLE_EVIDENCE = 0.1, 0.0
 
 @dataclass(frozen=True)
 class Found:
-    """The end to refine, and what the judge says of it: None where none was needed."""
+    """The end to refine, and whether another, clearly different one explains the clouds as well."""
 
     end: End
     ambiguous: bool
-    evidence: float | None
 
 
 def find(
@@ -49,16 +49,15 @@ def find(
     centroids: bool,
     everywhere: bool,
     search: bool,
+    judge: Callable[[], Judge],
     viewpoints: tuple[Array | None, Array | None],
 ) -> Found:
     """The end to refine on all points.
 
-    Parameters
-    ----------
-    given : (4, 4) pose that somebody has vouched for, or None.   identity : the input's identity, or None if it means
-    nothing.   centroids : whether common centroids are a start.   everywhere : nothing is known of the pose.
-    search : whether to search where the first end leaves doubt.   viewpoints : see `judge.Judge`.
-    All of it between the normalised mixtures.
+    Parameters ---------- given : (4, 4) pose that somebody has vouched for, or None.   identity : the input's identity,
+    or None if it means nothing.   centroids : whether common centroids are a start.   everywhere : nothing is known of
+    the pose. search : whether to search where the first end leaves doubt.   judge : made when it is first needed.
+    viewpoints : see `judge.Judge`. All of it between the normalised mixtures.
     """
     believed = given if given is not None else identity
     bases = [base for base in (np.eye(4) if centroids and given is None else None, believed) if base is not None]
@@ -70,30 +69,29 @@ def find(
     if not everywhere:
         first = first_end(levels, [starts.wide(base) for base in bases])
         if is_tight(levels, first[1]) or not search:
-            return Found(first[1], False, None)
+            return Found(first[1], False)
     nearby = [] if everywhere or believed is None else levels.run(levels.schedule.near, starts.near(believed), 2)
-    judge = Judge(levels, viewpoints)
-    if levels.source.dimension == 2 or not judge.sharp:
+    if levels.source.dimension == 2 or not judge().sharp:
         # Noise hides the shape at the scale of the points: the likelihood at the noise's own scale decides.
         if first is None:
             ends = search_globally(levels)
         elif given is not None and _most_likely([first[1], *nearby]).unmatched <= 1.0 - PLAUSIBLE:
-            return Found(_most_likely([first[1], *nearby]), False, None)
+            return Found(_most_likely([first[1], *nearby]), False)
         else:
             ends = search_around(levels, _others(levels, bases), first)
-        return Found(ends[0], _is_ambiguous([(end, end.log_likelihood) for end in ends], AMBIGUOUS_LIKELIHOOD), None)
-    near = _judged(judge, nearby)
+        return Found(ends[0], _is_ambiguous([(end, end.log_likelihood) for end in ends], AMBIGUOUS_LIKELIHOOD))
+    near = _judged(judge(), nearby)
     if given is not None and near and max(value for _, value in near) >= PLAUSIBLE_EVIDENCE:
         return _chosen(near, [])
     rest = [] if first is None else [first[1]]
     if levels.source.dimension == 3:
         rest += _proposed(levels, feature_poses(levels.source, levels.target))
-    pool = _judged(judge, rest)
+    pool = _judged(judge(), rest)
     if not pool or max(value for _, value in [*near, *pool]) < ESTABLISHED:
         more = search_globally(levels) if first is None else search_around(levels, _others(levels, bases), first)
         if viewpoints[0] is not None and viewpoints[1] is not None:
             more += starts_in_place(levels, viewpoints[0], viewpoints[1])
-        pool += _judged(judge, more)
+        pool += _judged(judge(), more)
     return _chosen(near, pool)
 
 
@@ -140,7 +138,7 @@ def _chosen(near: list[tuple[End, float]], pool: list[tuple[End, float]]) -> Fou
         if best[1] < at_start[1] + wanted:
             best = at_start
     rivals = [item for item in ranked if item is not best]
-    return Found(best[0], _is_ambiguous([best, *rivals], AMBIGUOUS), best[1])
+    return Found(best[0], _is_ambiguous([best, *rivals], AMBIGUOUS))
 
 
 def _is_ambiguous(ranked: list[tuple[End, float]], gap: float) -> bool:

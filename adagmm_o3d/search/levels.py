@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from functools import cached_property
 
 import numpy as np
 
-from adagmm_o3d.arguments import Array
-from adagmm_o3d.kernels.cpu.nearest_other import nearest_other_sq
+from adagmm_o3d.em.runs import End, Limits, Start, joined, run_starts
 from adagmm_o3d.mixtures.merging import MergedMixture, count_certain, merge, sample
 from adagmm_o3d.mixtures.mixture import Mixture
-from adagmm_o3d.mixtures.sampling import quantile, some_of
-from adagmm_o3d.search.runs import End, Limits, Start, joined, run_starts
+from adagmm_o3d.mixtures.sampling import some_of
+from adagmm_o3d.mixtures.spacing import spacing_of
 from adagmm_o3d.search.schedule import Level, Schedule
 
-# How many points are asked for their nearest neighbour, and among how many.
-PROBES, PROBED = 150, 20_000
+# The spacing is measured on at most so many points.
+PROBED = 20_000
 
 Sides = tuple[MergedMixture, MergedMixture]
 
@@ -74,11 +72,3 @@ class Levels:
         part = self.target.points_at(some_of(np.arange(len(self.target)), PROBED))
         # Of a large cloud only a part is looked at, and the spacing of the whole, a surface (in 2D a curve), follows.
         return spacing_of(part) * (len(part) / len(self.target)) ** (1.0 / (self.target.dimension - 1))
-
-
-def spacing_of(points: Array) -> float:
-    """Median distance from one of (n, 3) points to its nearest neighbour, from a few probes."""
-    probes = some_of(np.arange(len(points)), PROBES)
-    squares = np.empty(len(probes))
-    nearest_other_sq(np.ascontiguousarray(points.T), probes, squares)
-    return math.sqrt(quantile(squares, 0.5))

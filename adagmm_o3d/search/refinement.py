@@ -20,6 +20,7 @@ from adagmm_o3d.em.expectation import (
     PosteriorExpectation,
 )
 from adagmm_o3d.em.loop import Outcome, expectation_maximisation
+from adagmm_o3d.em.runs import End, Limits, Start, run_starts
 from adagmm_o3d.mixtures.condensing import condense
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.sampling import some_of
@@ -29,7 +30,6 @@ from adagmm_o3d.pairs.device import make_pair_loop
 from adagmm_o3d.pairs.protocol import Pairs
 from adagmm_o3d.result import Iteration, StopReason
 from adagmm_o3d.search.levels import Levels
-from adagmm_o3d.search.runs import End, Limits, Start, run_starts
 from adagmm_o3d.trust.pose_covariance import Fit
 
 LEVEL = 3

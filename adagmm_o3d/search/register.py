@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.expectation import AdaptiveExpectation
 from adagmm_o3d.em.loop import Outcome, expectation_maximisation
+from adagmm_o3d.em.runs import End
 from adagmm_o3d.em.sigma_rules import Annealed, FigureTwo, NearestDistance, SigmaRule
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.lie import project_to_rotation, split
@@ -21,13 +22,13 @@ from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.normalisation import Normalisation, normalise
 from adagmm_o3d.options import INIT_TOLERANCE, Callback, Criteria, TransformationEstimationForAdaptiveGMM
 from adagmm_o3d.pairs.device import make_pair_loop
-from adagmm_o3d.result import Iteration, PointRegistrationResult, PoseUncertainty, StopReason
+from adagmm_o3d.result import Deferred, Iteration, PointRegistrationResult, PoseUncertainty, StopReason
 from adagmm_o3d.search.find import find
 from adagmm_o3d.search.levels import Levels
 from adagmm_o3d.search.refinement import refine
-from adagmm_o3d.search.runs import End
 from adagmm_o3d.search.schedule import SCHEDULE
 from adagmm_o3d.trust.conclusion import conclude, lower, no_partners, partners_of
+from adagmm_o3d.trust.judge import JUDGED, Judge
 from adagmm_o3d.trust.pose_covariance import uncertainty_out
 
 # No more than a third of `max_iteration` is reported of the search.
@@ -57,8 +58,10 @@ def register_mixtures(
     if limits.max_iteration == 0:
         return _stay(moving, fixed, init, given, normalisation, device)
     ambiguous, assess = False, _unknown
+    weigh: Callable[[], float | None] = _none
     if method.sigma_rule == "posterior":
-        levels = Levels(moving, fixed, SCHEDULE)
+        levels, seen_from = Levels(moving, fixed, SCHEDULE), normalisation.points_in(*viewpoints)
+        judge = Deferred(lambda: Judge(moving, fixed, levels.sampled(JUDGED), seen_from))
         identity = normalisation.pose_in(np.eye(4))
         found = find(
             levels,
@@ -67,7 +70,8 @@ def register_mixtures(
             centroids=method.start != "init",
             everywhere=everywhere,
             search=method.search,
-            viewpoints=normalisation.points_in(*viewpoints),
+            judge=judge,
+            viewpoints=seen_from,
         )
         ambiguous = found.ambiguous
         best, limits = _within(limits, found.end)
@@ -87,6 +91,7 @@ def register_mixtures(
         outcome, pairs = refined.outcome, refined.pairs
         if outcome.stop_reason is not StopReason.NO_OVERLAP:
             assess = partial(uncertainty_out, pairs, refined.source, refined.target, refined.fit, normalisation)
+            weigh = partial(_confidence, judge, outcome.pose)
         if refined.source is not moving:
             # What is said of each point is said of all of them.
             pairs = make_pair_loop(moving, refined.target, device)
@@ -113,7 +118,16 @@ def register_mixtures(
         ambiguous=ambiguous,
         find_partners=find_partners,
         assess=assess,
+        weigh=weigh,
     )
+
+
+def _confidence(judge: Deferred[Judge], pose: Array) -> float:
+    return judge().confidence(pose)
+
+
+def _none() -> None:
+    """Of a pose that the paper's own rules found, or that no pair speaks for."""
 
 
 def _within(limits: Criteria, end: End) -> tuple[End, Criteria]:
@@ -155,6 +169,7 @@ def _stay(
         ambiguous=False,
         find_partners=partial(partners_of, pairs, moving, pose, 0.0),
         assess=_unknown,
+        weigh=_none,
     )
     start = np.eye(dimension + 1) if init is None else np.array(init, np.float64)
     return replace(result, transformation=start, transformations=start[None].copy())

@@ -12,9 +12,9 @@ import math
 import numpy as np
 
 from adagmm_o3d.arguments import Array
+from adagmm_o3d.em.runs import End, Start, distinct, pose_distance
 from adagmm_o3d.lie import so_exp
 from adagmm_o3d.search.levels import Levels
-from adagmm_o3d.search.runs import End, Start, distinct, pose_distance
 from adagmm_o3d.search.schedule import Level
 
 # Neighbours in a grid of 128 rotations are about 50° apart, which is within reach of σ = 0.1 [radius²] on both sides.

@@ -9,8 +9,8 @@ from functools import cache
 import numpy as np
 
 from adagmm_o3d.arguments import Array
+from adagmm_o3d.em.runs import Start
 from adagmm_o3d.lie import so_exp
-from adagmm_o3d.search.runs import Start
 
 # How far the starts stand around a pose, in normalised coordinates. Two clouds of which each lost 30 % on a side have
 # centroids up to one radius apart.

@@ -31,6 +31,7 @@ def conclude(
     ambiguous: bool,
     find_partners: Callable[[], Partners],
     assess: Callable[[], PoseUncertainty],
+    weigh: Callable[[], float | None],
 ) -> PointRegistrationResult:
     """The result of normalised mixtures in input units."""
     poses = np.array([start, *(i.pose for i in outcome.iterations)])
@@ -50,6 +51,7 @@ def conclude(
         doubts=_doubts(outcome, ambiguous),
         find_partners=Deferred(find_partners),
         assess=Deferred(assess),
+        weigh=Deferred(weigh),
     )
 
 

@@ -53,6 +53,8 @@ CUT = 25.0
 FLAT = 1e-6
 # A direction also counts as free when its standard deviation is this share of the radius.
 FREE_DEVIATION = 0.2
+# The least share of the Gauss-Newton curvature that is left when the weights follow the pose.
+LEAST_HELD = 0.1
 
 
 @dataclass(frozen=True)
@@ -164,7 +166,18 @@ def score_moments(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -> S
         by_blocks += 0.5 * (growth * points + growth**2 * (block.T @ block - points))
     free = np.ix_(FREE[source.dimension], FREE[source.dimension])
     left = sums.gradient[FREE[source.dimension]]
-    return ScoreMoments(0.5 * (curvature + curvature.T)[free], by_points[free], by_blocks[free], left, sums.row_weights)
+    curvature = _held(0.5 * (curvature + curvature.T)[free], sums.hessian[free])
+    return ScoreMoments(curvature, by_points[free], by_blocks[free], left, sums.row_weights)
+
+
+def _held(curvature: Array, hessian: Array) -> Array:
+    """The curvature, where it is no less than LEAST_HELD of what the pairs hold with their weights fixed.
+
+    The change of the weights takes some of that away; by chance of the sampling, more than there is.
+    """
+    shares, motions = generalised_eigen(curvature, hessian)
+    outward = hessian @ motions
+    return outward @ (np.maximum(shares, LEAST_HELD)[:, None] * outward.T)
 
 
 def covariance_out(covariance: Array, normalisation: Normalisation) -> Array:

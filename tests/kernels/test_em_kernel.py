@@ -14,7 +14,7 @@ from adagmm_o3d.kernels.cpu.culling import GROUP, TILE
 from adagmm_o3d.kernels.cpu.farthest_points import farthest_points
 from adagmm_o3d.kernels.cpu.nearest_other import nearest_other_sq
 from adagmm_o3d.mixtures.merging import COARSE_BITS, MergedMixture
-from adagmm_o3d.search.runs import Limits, Start, run_starts
+from adagmm_o3d.em.runs import Limits, Start, run_starts
 
 FREE = {2: [2, 3, 4], 3: [0, 1, 2, 3, 4, 5]}
 VOLUME = 20.0

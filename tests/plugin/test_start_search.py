@@ -13,7 +13,7 @@ from adagmm_o3d.lie import se_exp, so_exp
 from adagmm_o3d.mixtures.merging import sample
 from adagmm_o3d.mixtures.mixture import make_mixture
 from adagmm_o3d.mixtures.normalisation import normalise
-from adagmm_o3d.search.runs import Limits, Start, run_starts
+from adagmm_o3d.em.runs import Limits, Start, run_starts
 
 dimensions = pytest.mark.parametrize("dimension", [2, 3])
 

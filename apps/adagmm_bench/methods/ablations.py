@@ -12,9 +12,9 @@ from typing import Any
 from adagmm_bench.methods.variant import Replacement, Variant
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.expectation import FINEST_SIGMA, SIGMA_FLOOR
+from adagmm_o3d.em.runs import End, Start, run_starts
 from adagmm_o3d.em.unmatched import AREA
 from adagmm_o3d.mixtures.mixture import Mixture
-from adagmm_o3d.search.runs import End, Start, run_starts
 from adagmm_o3d.search.schedule import SCHEDULE
 from adagmm_o3d.search.starts import around
 

@@ -14,13 +14,13 @@ import itertools
 import numpy as np
 
 from adagmm_o3d.arguments import Array
+from adagmm_o3d.em.runs import Limits, Start, run_starts
 from adagmm_o3d.lie import se_inverse
 from adagmm_o3d.mixtures.merging import MergedMixture
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.sampling import quantile, some_of
-from adagmm_o3d.search.free_space import RangeImage
-from adagmm_o3d.search.levels import Levels, spacing_of
-from adagmm_o3d.search.runs import Limits, Start, run_starts
+from adagmm_o3d.mixtures.spacing import spacing_of
+from adagmm_o3d.trust.free_space import RangeImage
 
 # Points of either cloud that are asked.
 JUDGED = 1000
@@ -33,6 +33,8 @@ SHARP = 2
 # The share of points that may have no partner, and the evidence that one half of a cloud has to find for the other
 # [nats per point, both together].
 UNMATCHED, KNOWN_SHAPE = 0.4, 1.0
+# How much coarser a single pose is looked at.
+LENIENT = 4.0
 # What it costs a pose if all points of one cloud lie where the other's sensor saw nothing [nats].
 VIOLATION = 8.0
 # Points that a range image is made of, and that are asked whether they violate it.
@@ -40,23 +42,31 @@ IMAGED, ASKED = 20_000, 2000
 
 
 class Judge:
-    """Compares poses between two normalised mixtures.
+    """Compares poses between two normalised mixtures; `sides` are at most JUDGED of the points of either.
 
     viewpoints : from where the source and the target were seen, (3,) each in its own cloud's normalised coordinates, or
     None where that is not known.
     """
 
-    def __init__(self, levels: Levels, viewpoints: tuple[Array | None, Array | None]) -> None:
-        self._sides = levels.sampled(JUDGED)
+    def __init__(
+        self,
+        source: Mixture,
+        target: Mixture,
+        sides: tuple[MergedMixture, MergedMixture],
+        viewpoints: tuple[Array | None, Array | None] = (None, None),
+    ) -> None:
+        self._sides = sides
         self.sigma, self.reference, coarsened = self._finest_scale()
-        # Whether the points' own spacing, or nearly, is the scale: where noise hides it, there is no shape to
-        # recognise.
+        # Whether the points' own spacing, or nearly, is the scale: where noise hides it, no shape can be recognised.
         self.sharp = coarsened <= SHARP and self.reference >= KNOWN_SHAPE
         self._seen = [
             None if viewpoint is None else RangeImage(_some_points(mixture, IMAGED), viewpoint)
-            for mixture, viewpoint in zip((levels.source, levels.target), viewpoints, strict=True)
+            for mixture, viewpoint in zip((source, target), viewpoints, strict=True)
         ]
-        self._asked = [_some_points(mixture, ASKED) for mixture in (levels.source, levels.target)]
+        self._asked = [
+            np.empty((0, 3)) if seen is None else _some_points(mixture, ASKED)
+            for mixture, seen in zip((source, target), self._seen[::-1], strict=True)
+        ]
 
     def evidence(self, poses: list[Array]) -> Array:
         """(k,) mean log-likelihood of the points, both clouds together, beyond that of having no partner at all [nats].
@@ -67,6 +77,10 @@ class Judge:
         for k, pose in enumerate(poses):
             evidence[k] -= VIOLATION * self._violations(pose)
         return evidence
+
+    def confidence(self, pose: Array) -> float:
+        """The same of one pose, at a scale so many times coarser that a small bias of a sensor does not matter."""
+        return float(_evidence(self._sides, [pose], self.sigma * LENIENT)[0]) - VIOLATION * self._violations(pose)
 
     def _violations(self, pose: Array) -> float:
         share = 0.0

@@ -1,0 +1,153 @@
+"""Pairs summed up: found, wrong without a warning, right with one, errors, and processor time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from adagmm_bench.methods import METHODS
+
+FOUND_DEG = 5.0
+ALL = "all"
+
+
+@dataclass(frozen=True)
+class PairSummary:
+    """One method on some pairs. Silently wrong and false alarms: None for methods that do not warn. Errors: medians
+    over all pairs, and over those that were found (None without any). Overlap: among the found, the median difference
+    from the truth's own.
+    """
+
+    method: str
+    trials: int
+    found: int
+    failed: int
+    silently_wrong: int | None
+    false_alarms: int | None
+    rotation_deg: float
+    translation: float
+    rotation_deg_found: float | None
+    translation_found: float | None
+    overlap_off: float | None
+    cpu_seconds_median: float
+    cpu_seconds_total: float
+
+    @property
+    def cell(self) -> str:
+        """Found, and in brackets what was wrong without a warning."""
+        silent = "" if self.silently_wrong is None else f" ({self.silently_wrong})"
+        return f"{self.found}{silent}"
+
+    def as_dict(self) -> dict:
+        return asdict(self)
+
+
+def is_found(record: dict, limit: float) -> bool:
+    """Whether the rotation is within FOUND_DEG and the translation within `limit` units."""
+    right = record["rotation_error_deg"] < FOUND_DEG and record["translation_error"] < limit
+    return record["status"] == "ok" and right
+
+
+def summarise_pairs(method: str, records: Sequence[dict], limit: float) -> PairSummary:
+    """The records of one method, at least one."""
+    found = [is_found(record, limit) for record in records]
+    right = [record for record, ok in zip(records, found, strict=True) if ok]
+    warns = METHODS[method].ours
+    # A call that raised has said so.
+    warned = [record["status"] != "ok" or bool(record.get("warnings")) for record in records]
+    off = [
+        abs(record["overlap"] - record["overlap_truth"])
+        for record in right
+        if record.get("overlap") is not None and record.get("overlap_truth") is not None
+    ]
+
+    def median(members: Sequence[dict], name: str) -> float:
+        return float(np.median([record[name] for record in members]))
+
+    return PairSummary(
+        method=method,
+        trials=len(records),
+        found=len(right),
+        failed=sum(record["status"] != "ok" for record in records),
+        silently_wrong=sum(not f and not w for f, w in zip(found, warned, strict=True)) if warns else None,
+        false_alarms=sum(f and w for f, w in zip(found, warned, strict=True)) if warns else None,
+        rotation_deg=median(records, "rotation_error_deg"),
+        translation=median(records, "translation_error"),
+        rotation_deg_found=median(right, "rotation_error_deg") if right else None,
+        translation_found=median(right, "translation_error") if right else None,
+        overlap_off=float(np.median(off)) if off else None,
+        cpu_seconds_median=median(records, "cpu_seconds"),
+        cpu_seconds_total=float(sum(record["cpu_seconds"] for record in records)),
+    )
+
+
+def by_group(records: Sequence[dict], limit: float, *, total: bool = True) -> dict[str, dict[str, PairSummary]]:
+    """Group -> method -> summary, in the order of the records, and over all of them under ALL."""
+    groups: dict[str, dict[str, list[dict]]] = {}
+    for record in records:
+        for group in (record["problem"]["group"], *([ALL] if total else [])):
+            groups.setdefault(group, {}).setdefault(record["method"], []).append(record)
+    if ALL in groups:
+        groups[ALL] = groups.pop(ALL)
+    return {
+        group: {method: summarise_pairs(method, members, limit) for method, members in methods.items()}
+        for group, methods in groups.items()
+    }
+
+
+def found_table(groups: dict[str, dict[str, PairSummary]], methods: Sequence[str]) -> tuple[list[str], list[list]]:
+    """A row for each group, a column for each method."""
+    rows = []
+    for group, members in groups.items():
+        trials = max(summary.trials for summary in members.values())
+        cells = [members[method].cell if method in members else "" for method in methods]
+        rows.append([f"{group}, {trials}", *cells])
+    return ["found (silently wrong)", *map(short_name, methods)], rows
+
+
+def error_table(
+    summaries: dict[str, PairSummary], methods: Sequence[str], unit: str, scale: float
+) -> tuple[list[str], list[list]]:
+    """A row for each method; translations in `unit`, of which a unit of the records has `scale`."""
+    columns = [
+        "method",
+        "found",
+        "silently wrong",
+        "false alarms",
+        "gave up",
+        "median °",
+        f"median {unit}",
+        "of found °",
+        f"of found {unit}",
+        "overlap off",
+        "CPU s",
+    ]
+
+    def shown(value: float | int | None, form: Callable[[float], str] = str) -> str:
+        return "-" if value is None else form(value)
+
+    rows = []
+    for s in (summaries[method] for method in methods if method in summaries):
+        rows.append(
+            [
+                short_name(s.method),
+                f"{s.found}/{s.trials}",
+                shown(s.silently_wrong),
+                shown(s.false_alarms),
+                s.failed,
+                f"{s.rotation_deg:.2f}",
+                f"{scale * s.translation:.1f}",
+                shown(s.rotation_deg_found, "{:.2f}".format),
+                shown(None if s.translation_found is None else scale * s.translation_found, "{:.1f}".format),
+                shown(s.overlap_off, "{:.2f}".format),
+                f"{s.cpu_seconds_median:.2f}",
+            ]
+        )
+    return columns, rows
+
+
+def short_name(method: str) -> str:
+    """The name that both settings of a method share."""
+    return method.removesuffix("-dense")

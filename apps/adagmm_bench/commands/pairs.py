@@ -1,12 +1,10 @@
-"""`pairs`: clouds as people bring them, from any start, at any overlap: who finds the pose, and who says so."""
+"""`pairs`: clouds as people bring them, from any start, at any overlap: who finds the pose, and who knows."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Sequence
 
 from adagmm_bench.commands.options import (
     add_data,
@@ -18,11 +16,9 @@ from adagmm_bench.commands.options import (
     words,
 )
 from adagmm_bench.methods import METHODS
-from adagmm_bench.pairs.consensus import judged_by_consensus
 from adagmm_bench.pairs.problem import PairSource
-from adagmm_bench.pairs.public import CLOUDS, find_public_pairs
-from adagmm_bench.pairs.recorded import RECORDINGS, find_recorded_pairs
-from adagmm_bench.pairs.tables import ALL, by_group, error_table, found_table
+from adagmm_bench.pairs.sections import SECTIONS, judged, methods_for
+from adagmm_bench.pairs.tables import by_group
 from adagmm_bench.pairs.trial import run_pair_trial
 from adagmm_bench.report import command_line, machine_note, markdown_table, print_table, write_json
 from adagmm_bench.runner import run_jobs
@@ -31,6 +27,7 @@ from adagmm_fusion.files.atomic_file import write_text
 from adagmm_o3d.errors import InputError
 
 START = "as-given"
+TRIALS = 20
 DEFAULT_METHODS = (
     "adagmm",
     "adagmm-global",
@@ -40,34 +37,6 @@ DEFAULT_METHODS = (
     "open3d-gicp",
     "small-gicp",
 )
-CONSENSUS = "clouds, by consensus"
-
-
-@dataclass(frozen=True)
-class Section:
-    """Pairs of one kind, and what counts as found among them: `limit` units, of which `scale` make a `unit`."""
-
-    title: str
-    found: str
-    limit: float
-    unit: str
-    scale: float
-    find: Callable[[Path | None], tuple[Sequence[PairSource], list[str]]]
-
-
-SECTIONS = {
-    RECORDINGS: Section(
-        "recorded pairs, geometry alone", "within 5° and 0.2 m", 0.2, "mm", 1000.0, find_recorded_pairs
-    ),
-    CLOUDS: Section(
-        "public pairs of clouds",
-        "within 5° and a tenth of the RMS radius, at the source's centroid",
-        0.1,
-        "% of r",
-        100.0,
-        lambda folder: (find_public_pairs(folder), []),
-    ),
-}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -78,71 +47,88 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--only", type=words, default=tuple(SECTIONS), help=f"sections with commas (default: {','.join(SECTIONS)})"
     )
     parser.add_argument("--list", action="store_true", help="name the pairs and end")
+    parser.add_argument("--trials", type=int, default=TRIALS, help="of each made pair (default %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of the made pairs (default %(default)s)")
     add_data(parser)
     add_placement(parser)
     add_output(parser, "pairs")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    if unknown := [name for name in arguments.only if name not in SECTIONS]:
-        raise InputError(f"only: unknown {', '.join(unknown)}; known are {', '.join(SECTIONS)}")
-    if not arguments.only:
-        raise InputError(f"only: expected at least one of {', '.join(SECTIONS)}")
-    problems, skipped = _find(arguments)
+    pairs, skipped = find_pairs(arguments)
     if arguments.list:
-        for members in problems.values():
-            for problem in members:
-                print(problem.key)
+        print("\n".join(pair.key for members in pairs.values() for pair in members))
         return 0
     methods, without = choose_pair_methods(arguments.methods)
-    for line in (*skipped, *without):
+    skipped += without
+    for line in skipped:
         print(f"left out {line}", file=sys.stderr)
     # Pair by pair, so that a worker makes its clouds once.
-    jobs = {
-        name: [TrialJob(problem, method, START) for problem in members for method in methods_for(problem, methods)]
-        for name, members in problems.items()
-    }
+    jobs = [
+        TrialJob(pair, method, START)
+        for members in pairs.values()
+        for pair in members
+        for method in methods_for(pair, methods)
+    ]
+    if not jobs:
+        raise InputError(f"methods: none of {', '.join(methods)} takes part in {', '.join(pairs)}")
     with open_journal(arguments) as journal:
-        records = run_jobs(
-            [job for members in jobs.values() for job in members], journal, placement(arguments), run=run_pair_trial
-        )
-        known = list(journal.records.values())
-    body, content = "", {}
-    for name in problems:
-        own = [record for record in records if record["problem"]["section"] == name]
-        text, content[name] = section_report(SECTIONS[name], own, known)
-        body += text
-    if skipped or without:
-        body += "## Left out\n\n" + "".join(f"- {line}\n" for line in (*skipped, *without))
-    used = dict.fromkeys(record["method"] for record in records)
-    body += "\n## Methods\n\n" + "".join(
-        f"- `{name}` ({METHODS[name].version()}): {METHODS[name].settings()}\n" for name in used
+        records = run_jobs(jobs, journal, placement(arguments), run=run_pair_trial)
+        everything, notes = judged(records, list(journal.records.values()))
+    text = f"# Pairs of clouds\n\n`{command_line()}`\n\n{machine_note()}. One thread a registration.\n\n"
+    summaries = {}
+    for name in pairs:
+        own = [record for record in everything if record["problem"]["section"] == name]
+        text += f"## {name}: {SECTIONS[name].title}\n\n"
+        for title, columns, rows in SECTIONS[name].tables(own, everything):
+            print_table(f"{name}, {title}: {SECTIONS[name].title}", columns, rows)
+            text += f"{title[0].upper()}{title[1:]}:\n\n{markdown_table(columns, rows)}\n"
+        summaries[name] = {
+            group: {method: summary.as_dict() for method, summary in members.items()}
+            for group, members in by_group(own).items()
+        }
+    for note in notes:
+        print(note)
+    text += "".join(f"{note}\n\n" for note in notes)
+    if skipped:
+        text += "## Left out\n\n" + "".join(f"- {line}\n" for line in skipped) + "\n"
+    text += "## Methods\n\n" + "".join(
+        f"- `{name}` ({METHODS[name].version()}): {METHODS[name].settings()}\n"
+        for name in dict.fromkeys(record["method"] for record in records)
     )
-    head = f"# Pairs of clouds\n\n`{command_line()}`\n\n{machine_note()}. One thread a registration.\n\n"
-    write_text(arguments.output / "report.md", head + body)
-    write_json(
-        arguments.output / "report.json",
-        {"command": command_line(), "machine": machine_note(), "sections": content, "trials": records},
-    )
+    write_text(arguments.output / "report.md", text)
+    head = {"command": command_line(), "machine": machine_note(), "left_out": skipped, "notes": notes}
+    write_json(arguments.output / "report.json", head | {"sections": summaries, "trials": records})
     print(f"report and every trial: {arguments.output}")
     return 0
 
 
-def _find(arguments: argparse.Namespace) -> tuple[dict[str, Sequence[PairSource]], list[str]]:
-    """The pairs of each section, and why something is left out. One section that was asked for must not be empty."""
+def find_pairs(arguments: argparse.Namespace) -> tuple[dict[str, Sequence[PairSource]], list[str]]:
+    """The pairs of each section that was asked for, and why something is left out.
+
+    Raises
+    ------
+    InputError  if an option is out of its range, or no section has a pair.
+    """
+    if unknown := [name for name in arguments.only if name not in SECTIONS]:
+        raise InputError(f"only: unknown {', '.join(unknown)}; known are {', '.join(SECTIONS)}")
+    if not arguments.only:
+        raise InputError(f"only: expected at least one of {', '.join(SECTIONS)}")
+    for name, least in (("trials", 1), ("seed", 0)):
+        if getattr(arguments, name) < least:
+            raise InputError(f"{name}: expected {least} or more, got {getattr(arguments, name)}")
     folder = data_folder(arguments)
-    problems, skipped = {}, []
+    pairs, skipped = {}, []
     for name in dict.fromkeys(arguments.only):
         try:
-            problems[name], unusable = SECTIONS[name].find(folder)
+            pairs[name], unusable = SECTIONS[name].find(folder, trials=arguments.trials, seed=arguments.seed)
             skipped += unusable
         except InputError as error:
-            if len(arguments.only) == 1:
-                raise
-            skipped.append(f"{name}: {' '.join(str(error).split())}")
-    if not problems:
-        raise InputError(f"data: no section has a pair: {'; '.join(skipped)}")
-    return problems, skipped
+            skipped.append(f"{name}: {error}")
+    skipped = list(dict.fromkeys(" ".join(line.split()) for line in skipped))
+    if not pairs:
+        raise InputError(f"only: no section has a pair: {'; '.join(skipped)}")
+    return pairs, skipped
 
 
 def choose_pair_methods(names: Sequence[str] | None) -> tuple[list[str], list[str]]:
@@ -169,45 +155,3 @@ def choose_pair_methods(names: Sequence[str] | None) -> tuple[list[str], list[st
     if not chosen:
         raise InputError("methods: none is left to run")
     return chosen, skipped
-
-
-def methods_for(problem: PairSource, names: Sequence[str]) -> list[str]:
-    """The methods to run on a pair: those for dense clouds in place of those for a thousand points, and viewpoints only
-    where they are known.
-    """
-    known = problem.facts()["section"] == RECORDINGS
-    return [
-        f"{name}-dense" if f"{name}-dense" in METHODS else name
-        for name in names
-        if known or name != "adagmm-viewpoints"
-    ]
-
-
-def section_report(section: Section, records: Sequence[dict], known: Sequence[dict]) -> tuple[str, dict]:
-    """The tables of a section, printed and as markdown, and their content."""
-    judged, left_out = judged_by_consensus(records, known, CONSENSUS)
-    methods = list(dict.fromkeys(record["method"] for record in records))
-    groups = by_group(judged, section.limit)
-    title = f"{section.title}; found: {section.found}"
-    tables = [("", found_table(groups, methods))] if len(groups) > 2 else []
-    if ALL in groups:
-        tables.append((f"{ALL}: ", error_table(groups[ALL], methods, section.unit, section.scale)))
-    text = f"## {title[0].upper()}{title[1:]}\n\n"
-    for prefix, (columns, rows) in tables:
-        print_table(f"{prefix}{title}", columns, rows)
-        text += markdown_table(columns, rows) + "\n"
-    if any(record["problem"]["group"] == CONSENSUS for record in judged):
-        note = (
-            "By consensus: nobody measured the pose of these pairs; it is the one that most other libraries agree on, "
-            "one of them without a start, so that they are judged by themselves there."
-        )
-        print(note)
-        text += f"{note}\n\n"
-    if left_out:
-        note = f"Left out, no truth and no consensus: {', '.join(left_out)}."
-        print(note)
-        text += f"{note}\n\n"
-    content = {
-        group: {method: summary.as_dict() for method, summary in members.items()} for group, members in groups.items()
-    }
-    return text, {"groups": content, "left_out": left_out}

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 import open3d as o3d
 
 from adagmm_bench.problem import Cloud
+
+FOUND_DEG = 5.0
 
 
 @dataclass(frozen=True)
@@ -20,8 +22,10 @@ class PairClouds:
     unit : what other libraries get as 1 [input units]: a metre of a room, the RMS radius of anything else.
     T_target_source : (4, 4), the truth; None where there is none.
     centre : (3,) source point whose displacement is the translation error.
+    limits : what is within this many degrees and units of the truth is found.
+    related : False where the clouds share nothing, so that no pose is right.
     source_viewpoint, target_viewpoint : (3,) where the sensor stood, None where that is not known.
-    init : (4, 4), where methods that need a start are started.
+    init : (4, 4), the start that ours is given; other libraries start at the identity.
     """
 
     source: o3d.geometry.PointCloud
@@ -31,8 +35,11 @@ class PairClouds:
     unit: float
     T_target_source: np.ndarray | None
     centre: np.ndarray
+    limits: tuple[float, float] = (FOUND_DEG, 0.1)
+    related: bool = True
     source_viewpoint: np.ndarray | None = None
     target_viewpoint: np.ndarray | None = None
+    init: np.ndarray = field(default_factory=lambda: np.eye(4))
 
     def for_peers(self) -> tuple[Cloud, Cloud]:
         """The clouds in units of `unit`."""
@@ -57,6 +64,13 @@ class PairSource(Protocol):
 
     def facts(self) -> dict:
         """`section` and `group` of the tables, and the `pair`."""
+
+
+def plain_pair(source: np.ndarray, target: np.ndarray, T: np.ndarray | None, **more) -> PairClouds:
+    """Points (M, 3) and (N, 3), the same for everybody, whose unit is a radius if nothing else is said."""
+    clouds = cloud_of_points(source), cloud_of_points(target)
+    unit = max(rms_radius(source), rms_radius(target))
+    return PairClouds(*clouds, *clouds, T_target_source=T, **({"unit": unit, "centre": source.mean(axis=0)} | more))
 
 
 def cloud_of_points(points: np.ndarray) -> o3d.geometry.PointCloud:

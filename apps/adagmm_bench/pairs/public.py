@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from adagmm_bench.pairs.problem import PairClouds, cloud_of_points, rms_radius
+from adagmm_bench.pairs.problem import PairClouds, plain_pair
 from adagmm_o3d.errors import InputError
 
 CLOUDS = "clouds"
@@ -53,14 +53,7 @@ def _load(pair: PublicPair) -> PairClouds:
             )
     if T.shape != (4, 4) or not (np.isfinite(T).all() or np.isnan(T).all()):
         raise InputError(f"{pair.path}: T: expected a (4, 4) pose, or NaN throughout, got\n{T}")
-    clouds = cloud_of_points(source), cloud_of_points(target)
-    return PairClouds(
-        *clouds,
-        *clouds,
-        unit=max(rms_radius(source), rms_radius(target)),
-        T_target_source=T if np.isfinite(T).all() else None,
-        centre=source.mean(axis=0),
-    )
+    return plain_pair(source, target, T if np.isfinite(T).all() else None)
 
 
 def find_public_pairs(data_folder: Path | None) -> list[PublicPair]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from adagmm_bench.pairs.problem import PairClouds
+from adagmm_bench.pairs.problem import FOUND_DEG, PairClouds
 from adagmm_bench.scenes import find_frame_pairs
 from adagmm_fusion.clouds.building import clouds_from_pair, dense_cloud
 from adagmm_fusion.recordings.opening import open_recording
@@ -16,6 +16,7 @@ from adagmm_fusion.recordings.opening import open_recording
 RECORDINGS = "recordings"
 GRID = 0.02  # m, of the clouds that other libraries get
 POINTS = 3500  # of those that ours get
+FOUND = (FOUND_DEG, 0.2)  # degrees, m
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class RecordedPair:
         return f"{self.recording.name} {self.name}"
 
     def facts(self) -> dict:
-        return {"section": RECORDINGS, "group": self.recording.name, "pair": self.name}
+        return {"section": RECORDINGS, "group": self.recording.name, "pair": self.name, "viewpoints": True}
 
     def load(self) -> PairClouds:
         return _load(self)
@@ -50,12 +51,14 @@ def _load(recorded: RecordedPair) -> PairClouds:
         unit=1.0,
         T_target_source=pair.T_target_source,
         centre=camera,
+        limits=FOUND,
         source_viewpoint=camera,
         target_viewpoint=camera,
     )
 
 
-def find_recorded_pairs(data_folder: Path | None) -> tuple[list[RecordedPair], list[str]]:
+@cache
+def find_recorded_pairs(data_folder: Path | None) -> tuple[tuple[RecordedPair, ...], tuple[str, ...]]:
     """All pairs with a known pose under `recordings`, and a line for each folder that holds none.
 
     Raises
@@ -63,4 +66,4 @@ def find_recorded_pairs(data_folder: Path | None) -> tuple[list[RecordedPair], l
     InputError  if there is none.
     """
     pairs, skipped = find_frame_pairs(data_folder)
-    return [RecordedPair(pair.recording, pair.index, pair.name) for pair in pairs], skipped
+    return tuple(RecordedPair(pair.recording, pair.index, pair.name) for pair in pairs), tuple(skipped)

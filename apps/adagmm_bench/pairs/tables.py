@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from adagmm_bench.methods import METHODS
 
-FOUND_DEG = 5.0
 ALL = "all"
 
 
 @dataclass(frozen=True)
 class PairSummary:
     """One method on some pairs. Silently wrong and false alarms: None for methods that do not warn. Errors: medians
-    over all pairs, and over those that were found (None without any). Overlap: among the found, the median difference
-    from the truth's own.
+    over all pairs with a truth, and over those that were found (None without any). Overlap: among the found, the median
+    difference from the truth's own.
     """
 
     method: str
@@ -26,8 +25,8 @@ class PairSummary:
     failed: int
     silently_wrong: int | None
     false_alarms: int | None
-    rotation_deg: float
-    translation: float
+    rotation_deg: float | None
+    translation: float | None
     rotation_deg_found: float | None
     translation_found: float | None
     overlap_off: float | None
@@ -44,15 +43,17 @@ class PairSummary:
         return asdict(self)
 
 
-def is_found(record: dict, limit: float) -> bool:
-    """Whether the rotation is within FOUND_DEG and the translation within `limit` units."""
-    right = record["rotation_error_deg"] < FOUND_DEG and record["translation_error"] < limit
-    return record["status"] == "ok" and right
+def is_found(record: dict) -> bool:
+    """Whether there is a right pose and this is within the record's limits of it."""
+    if record["status"] != "ok" or record["rotation_error_deg"] is None:
+        return False
+    degrees, displacement = record["limits"]
+    return record["rotation_error_deg"] < degrees and record["translation_error"] < displacement
 
 
-def summarise_pairs(method: str, records: Sequence[dict], limit: float) -> PairSummary:
+def summarise_pairs(method: str, records: Sequence[dict]) -> PairSummary:
     """The records of one method, at least one."""
-    found = [is_found(record, limit) for record in records]
+    found = [is_found(record) for record in records]
     right = [record for record, ok in zip(records, found, strict=True) if ok]
     warns = METHODS[method].ours
     # A call that raised has said so.
@@ -63,8 +64,9 @@ def summarise_pairs(method: str, records: Sequence[dict], limit: float) -> PairS
         if record.get("overlap") is not None and record.get("overlap_truth") is not None
     ]
 
-    def median(members: Sequence[dict], name: str) -> float:
-        return float(np.median([record[name] for record in members]))
+    def median(members: Sequence[dict], name: str) -> float | None:
+        values = [record[name] for record in members if record[name] is not None]
+        return float(np.median(values)) if values else None
 
     return PairSummary(
         method=method,
@@ -75,24 +77,24 @@ def summarise_pairs(method: str, records: Sequence[dict], limit: float) -> PairS
         false_alarms=sum(f and w for f, w in zip(found, warned, strict=True)) if warns else None,
         rotation_deg=median(records, "rotation_error_deg"),
         translation=median(records, "translation_error"),
-        rotation_deg_found=median(right, "rotation_error_deg") if right else None,
-        translation_found=median(right, "translation_error") if right else None,
+        rotation_deg_found=median(right, "rotation_error_deg"),
+        translation_found=median(right, "translation_error"),
         overlap_off=float(np.median(off)) if off else None,
-        cpu_seconds_median=median(records, "cpu_seconds"),
+        cpu_seconds_median=float(np.median([record["cpu_seconds"] for record in records])),
         cpu_seconds_total=float(sum(record["cpu_seconds"] for record in records)),
     )
 
 
-def by_group(records: Sequence[dict], limit: float, *, total: bool = True) -> dict[str, dict[str, PairSummary]]:
+def by_group(records: Sequence[dict]) -> dict[str, dict[str, PairSummary]]:
     """Group -> method -> summary, in the order of the records, and over all of them under ALL."""
     groups: dict[str, dict[str, list[dict]]] = {}
     for record in records:
-        for group in (record["problem"]["group"], *([ALL] if total else [])):
+        for group in (record["problem"]["group"], ALL):
             groups.setdefault(group, {}).setdefault(record["method"], []).append(record)
-    if ALL in groups:
+    if records:
         groups[ALL] = groups.pop(ALL)
     return {
-        group: {method: summarise_pairs(method, members, limit) for method, members in methods.items()}
+        group: {method: summarise_pairs(method, members) for method, members in methods.items()}
         for group, methods in groups.items()
     }
 
@@ -125,8 +127,8 @@ def error_table(
         "CPU s",
     ]
 
-    def shown(value: float | int | None, form: Callable[[float], str] = str) -> str:
-        return "-" if value is None else form(value)
+    def shown(value: float | None, form: str = "{}", times: float = 1.0) -> str:
+        return "-" if value is None else form.format(value if times == 1.0 else times * value)
 
     rows = []
     for s in (summaries[method] for method in methods if method in summaries):
@@ -137,11 +139,11 @@ def error_table(
                 shown(s.silently_wrong),
                 shown(s.false_alarms),
                 s.failed,
-                f"{s.rotation_deg:.2f}",
-                f"{scale * s.translation:.1f}",
-                shown(s.rotation_deg_found, "{:.2f}".format),
-                shown(None if s.translation_found is None else scale * s.translation_found, "{:.1f}".format),
-                shown(s.overlap_off, "{:.2f}".format),
+                shown(s.rotation_deg, "{:.2f}"),
+                shown(s.translation, "{:.1f}", scale),
+                shown(s.rotation_deg_found, "{:.2f}"),
+                shown(s.translation_found, "{:.1f}", scale),
+                shown(s.overlap_off, "{:.2f}"),
                 f"{s.cpu_seconds_median:.2f}",
             ]
         )
@@ -151,3 +153,32 @@ def error_table(
 def short_name(method: str) -> str:
     """The name that both settings of a method share."""
     return method.removesuffix("-dense")
+
+
+def curve_table(records: Sequence[dict]) -> tuple[list[str], list[list]]:
+    """A row for each group and method, a column for each share of common points, the largest first."""
+    shares = sorted({record["problem"]["share"] for record in records}, reverse=True)
+    members: dict[tuple[str, str], dict[float, list[dict]]] = {}
+    for record in records:
+        row = members.setdefault((record["problem"]["group"], record["method"]), {})
+        row.setdefault(record["problem"]["share"], []).append(record)
+    rows = []
+    for (group, method), by_share in members.items():
+        trials = max(map(len, by_share.values()))
+        cells = [summarise_pairs(method, by_share[share]).cell if share in by_share else "" for share in shares]
+        rows.append([f"{group}, {trials}: {short_name(method)}", *cells])
+    return ["found (silently wrong)", *(f"{share:.0%}" for share in shares)], rows
+
+
+def trust_table(groups: dict[str, dict[str, PairSummary]], method: str) -> tuple[list[str], list[list]]:
+    """A row for each group in which one of our methods took part; the last are all of them, in per cent too."""
+    rows = []
+    for group, members in groups.items():
+        if method not in members:
+            continue
+        s = members[method]
+        counts = [s.silently_wrong, s.false_alarms]
+        if group == ALL:
+            counts = [f"{count} ({count / s.trials:.1%})" for count in counts]
+        rows.append([group, s.trials, s.found, *counts])
+    return [method, "pairs", "right", "silently wrong", "false alarms"], rows

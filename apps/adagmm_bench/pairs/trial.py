@@ -9,7 +9,7 @@ import numpy as np
 
 from adagmm_bench.methods import METHODS
 from adagmm_bench.methods.ours import register_clouds
-from adagmm_bench.pairs.problem import PairClouds, cloud_of_points
+from adagmm_bench.pairs.problem import PairClouds, plain_pair
 from adagmm_bench.speed.large import surface_pair
 from adagmm_bench.trial import TrialJob, orthonormal, seed_generators
 from adagmm_o3d.errors import InputError
@@ -20,10 +20,10 @@ OVERLAP_GRID, OVERLAP_DISTANCE = 0.04, 0.06
 
 
 def run_pair_trial(job: TrialJob) -> dict:
-    """Register a pair from the identity and judge. A method that raises is a record too, with the identity for a pose.
+    """Register a pair and judge. A method that raises is a record too, with the identity for a pose.
 
-    The record's own errors are a rotation in degrees and the displacement of the pair's centre in units; None without a
-    truth. Ours add what they say of themselves: `overlap`, `warnings`.
+    The errors are a rotation in degrees and the displacement of the pair's centre in units; None without a truth. Ours
+    add what they say of themselves: `overlap`, `warnings`.
     """
     method = METHODS[job.method]
     if (reason := method.missing()) is not None:
@@ -54,13 +54,14 @@ def run_pair_trial(job: TrialJob) -> dict:
         "T_target_source": T.tolist(),
         "unit": clouds.unit,
         "centre": clouds.centre.tolist(),
+        "limits": list(clouds.limits),
         **_judged(clouds, T),
         **said,
     }
 
 
 def register_pair(name: str, clouds: PairClouds) -> tuple[np.ndarray, dict]:
-    """The pose (4, 4) that a method finds from the identity, and what ours say of it."""
+    """The pose (4, 4) that a method finds, and what ours say of it."""
     if not METHODS[name].ours:
         T = np.array(METHODS[name](*clouds.for_peers()), dtype=float)
         T[:3, 3] *= clouds.unit
@@ -70,7 +71,7 @@ def register_pair(name: str, clouds: PairClouds) -> tuple[np.ndarray, dict]:
         clouds.source,
         clouds.target,
         0.1 * clouds.unit,
-        init=np.eye(4),
+        init=clouds.init,
         source_viewpoint=clouds.source_viewpoint,
         target_viewpoint=clouds.target_viewpoint,
     )
@@ -101,8 +102,7 @@ def _warm_up(name: str) -> None:
     which run in another loop."""
     for points in (500, 4000):
         problem = surface_pair(points)
-        clouds = cloud_of_points(problem.source.points), cloud_of_points(problem.target.points)
-        pair = PairClouds(*clouds, *clouds, unit=1.0, T_target_source=None, centre=np.zeros(3))
+        pair = plain_pair(problem.source.points, problem.target.points, None, unit=1.0)
         try:
             register_pair(name, pair)
         except Exception:

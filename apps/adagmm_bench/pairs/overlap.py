@@ -21,7 +21,7 @@ MODELS, ROOMS = "models", "rooms"
 NEAR, ANYWHERE = "start within 20°", "any start"
 NEAR_DEG, NEAR_SHIFT = 20.0, 0.1  # degrees, RMS radii
 NOISE = 0.005  # radii, in models; rooms are sampled anew
-ROOM_GRID = 0.02  # m
+ROOM_GRID = 0.03  # m
 ROOM_FOUND = (FOUND_DEG, 0.2)  # degrees, m
 # Files of cloud_pairs that hold rooms, one name for each room.
 ROOM_FILES = {
@@ -47,9 +47,9 @@ class OverlapPair:
 
     @property
     def key(self) -> str:
-        origin = self.models_path.name if self.models_path else "made shapes"
-        origin = "" if self.kind == ROOMS else f" on {origin}"
-        return f"{self.kind} share {self.share:g} {self.start} #{self.trial} seed {self.seed}{origin}"
+        models = self.models_path.name if self.models_path else "made shapes"
+        origin = models if self.kind == MODELS else f"a grid of {ROOM_GRID:g} m"
+        return f"{self.kind} share {self.share:g} {self.start} #{self.trial} seed {self.seed} on {origin}"
 
     def facts(self) -> dict:
         return {

@@ -23,12 +23,8 @@ NEAR_DEG, NEAR_SHIFT = 20.0, 0.1  # degrees, RMS radii
 NOISE = 0.005  # radii, in models; rooms are sampled anew
 ROOM_GRID = 0.03  # m
 ROOM_FOUND = (FOUND_DEG, 0.2)  # degrees, m
-# Files of cloud_pairs that hold rooms, one name for each room.
-ROOM_FILES = {
-    "redkitchen": "3dm_7-scenes-redki_0_5",
-    "hotel": "3dm_sun3d-hotel_um_8_15",
-    "livingroom": "o3d_frag_0_4",
-}
+# Files of cloud_pairs that hold two fragments of a room each, three rooms.
+ROOM_FILES = ("3dm_7-scenes-redki_0_5", "3dm_sun3d-hotel_um_8_15", "o3d_frag_0_4")
 
 
 @dataclass(frozen=True)
@@ -70,7 +66,7 @@ def _load(pair: OverlapPair) -> PairClouds:
         models = whole_models(pair.models_path)
         whole = models[rng.integers(len(models))]
     else:
-        whole = room(pair.rooms[rng.integers(len(pair.rooms))])
+        whole = fragment(pair.rooms[rng.integers(len(pair.rooms))], rng.integers(2) == 1)
     radius = rms_radius(whole)
     direction = rng.standard_normal(3)
     near = near_motion(rng, radius)
@@ -119,9 +115,10 @@ def whole_models(path: Path | None) -> list[np.ndarray]:
 
 
 @lru_cache(maxsize=1)
-def room(path: Path) -> np.ndarray:
-    """The target of a public pair, (N, 3) [m]."""
-    return np.asarray(PublicPair(path).load().target.points)
+def fragment(path: Path, source: bool) -> np.ndarray:
+    """The source or the target of a public pair, (N, 3) [m]."""
+    clouds = PublicPair(path).load()
+    return np.array((clouds.source if source else clouds.target).points)
 
 
 def find_rooms(data_folder: Path | None) -> list[Path]:
@@ -132,9 +129,9 @@ def find_rooms(data_folder: Path | None) -> list[Path]:
     InputError  if there is none.
     """
     found = {pair.path.stem: pair.path for pair in find_public_pairs(data_folder)}
-    rooms = [found[name] for name in ROOM_FILES.values() if name in found]
+    rooms = [found[name] for name in ROOM_FILES if name in found]
     if not rooms:
-        raise InputError(f"data: expected rooms in cloud_pairs, {', '.join(ROOM_FILES.values())}; found none of them")
+        raise InputError(f"data: expected rooms in cloud_pairs, {', '.join(ROOM_FILES)}; found none of them")
     return rooms
 
 

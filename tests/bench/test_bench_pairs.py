@@ -11,6 +11,8 @@ from shared_data import shared_data
 from adagmm_bench.cli import main
 from adagmm_bench.commands.pairs import choose_pair_methods
 from adagmm_bench.methods import METHODS
+from adagmm_bench.methods.ours import TAKES_VIEWPOINTS, _viewpoints
+from adagmm_bench.methods.variant import Variant
 from adagmm_bench.pairs import overlap
 from adagmm_bench.pairs.consensus import consensus_pose, judged_by_consensus
 from adagmm_bench.pairs.made import CASES, DIFFERENT_ROOMS, MadePair
@@ -19,7 +21,15 @@ from adagmm_bench.pairs.problem import plain_pair
 from adagmm_bench.pairs.public import PublicPair
 from adagmm_bench.pairs.recorded import RecordedPair
 from adagmm_bench.pairs.sections import methods_for
-from adagmm_bench.pairs.tables import ALL, by_group, curve_table, found_table, summarise_pairs, trust_table
+from adagmm_bench.pairs.tables import (
+    ALL,
+    by_group,
+    curve_table,
+    each_pair_table,
+    found_table,
+    summarise_pairs,
+    trust_table,
+)
 from adagmm_bench.pairs.trial import pose_difference, run_pair_trial
 from adagmm_bench.pairs.trust import RANDOM_START, WRONG_START, Restarted
 from adagmm_bench.trial import TrialJob
@@ -76,6 +86,26 @@ def test_groups_are_summed_up_and_all_come_last():
     columns, rows = found_table(groups, ["adagmm", "open3d-gicp-dense", "open3d-gicp"])
     assert columns == ["found (silently wrong)", "adagmm", "open3d-gicp", "open3d-gicp"]
     assert rows == [["b, 2", "2 (0)", "", "0"], ["a, 1", "1 (0)", "", ""], ["all, 3", "3 (0)", "", "0"]]
+
+
+def test_each_pair_shows_what_was_found_and_warned_of():
+    records = [record("adagmm", 1.0, 0.05, warnings=["doubtful"]), record("adagmm", 9.0, 0.05, warnings=[], pair="q")]
+    records += [
+        record("open3d-gicp-dense", 1.0, 0.05),
+        record("open3d-gicp-dense", 1.0, 0.0, pair="q", status="failed"),
+    ]
+    columns, rows = each_pair_table(records, ["adagmm", "open3d-gicp-dense"], 100.0)
+    assert columns == ["pair", "adagmm", "open3d-gicp"]
+    assert rows == [["p", "1.00 / 5.0!", "1.00 / 5.0"], ["q", "(9.00 / 5.0)", "-"]]
+
+
+def test_viewpoints_are_told_where_they_are_known_and_wanted():
+    told, here, there = Variant("It is told.", viewpoints=True), np.zeros(3), np.ones(3)
+    keywords = _viewpoints(told, here, there)
+    assert keywords["source_viewpoint"] is here and keywords["target_viewpoint"] is there and len(keywords) == 2
+    assert _viewpoints(told, None, here) == _viewpoints(told, here, None) == {}
+    assert _viewpoints(Variant("It is not."), here, here) == {}
+    assert ("adagmm-viewpoints" in METHODS) == TAKES_VIEWPOINTS
 
 
 def test_displacement_is_that_of_the_centre_in_units():

@@ -14,7 +14,7 @@ from adagmm_bench.pairs.overlap import ANYWHERE, OVERLAP, ROOMS, find_overlap_pa
 from adagmm_bench.pairs.problem import PairSource
 from adagmm_bench.pairs.public import CLOUDS, find_public_pairs
 from adagmm_bench.pairs.recorded import RECORDINGS, find_recorded_pairs
-from adagmm_bench.pairs.tables import ALL, by_group, curve_table, error_table, found_table, trust_table
+from adagmm_bench.pairs.tables import ALL, by_group, curve_table, each_pair_table, error_table, found_table, trust_table
 from adagmm_bench.pairs.trust import WRONG_START, find_trust_pairs
 
 CONSENSUS = "clouds, by consensus"
@@ -84,6 +84,7 @@ def _found_and_errors(unit: str, scale: float) -> Callable[[Sequence[dict], Sequ
         if not groups:
             return []
         return [
+            (f"each pair, ° / {unit}, (not found), warned!", *each_pair_table(records, methods, scale)),
             ("found", *found_table(groups, methods)),
             ("errors, warnings and time", *error_table(groups[ALL], methods, unit, scale)),
         ]

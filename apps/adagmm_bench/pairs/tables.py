@@ -155,6 +155,21 @@ def short_name(method: str) -> str:
     return method.removesuffix("-dense")
 
 
+def each_pair_table(records: Sequence[dict], methods: Sequence[str], scale: float) -> tuple[list[str], list[list]]:
+    """A row for each pair, a column for each method: degrees / translation, in brackets where that was not found, with
+    an exclamation mark where the method warned; a dash where it gave up.
+    """
+    pairs: dict[str, dict[str, str]] = {}
+    for record in records:
+        cell = "-"
+        if record["status"] == "ok":
+            cell = f"{record['rotation_error_deg']:.2f} / {scale * record['translation_error']:.1f}"
+            cell = (cell if is_found(record) else f"({cell})") + ("!" if record.get("warnings") else "")
+        pairs.setdefault(record["problem"]["pair"], {})[record["method"]] = cell
+    rows = [[pair, *(cells.get(method, "") for method in methods)] for pair, cells in pairs.items()]
+    return ["pair", *map(short_name, methods)], rows
+
+
 def curve_table(records: Sequence[dict]) -> tuple[list[str], list[list]]:
     """A row for each group and method, a column for each share of common points, the largest first."""
     shares = sorted({record["problem"]["share"] for record in records}, reverse=True)

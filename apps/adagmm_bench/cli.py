@@ -21,6 +21,7 @@ def build_parser() -> argparse.ArgumentParser:
         gpu,
         kinect,
         methods_list,
+        pairs,
         recordings,
         replay,
         simulations,
@@ -47,6 +48,12 @@ def build_parser() -> argparse.ArgumentParser:
         "RGB-D recordings with ground truth, end to end through the app",
         recordings.add_arguments,
         recordings.run,
+    )
+    add(
+        "pairs",
+        "clouds as people bring them: found, and known to be wrong, beside others",
+        pairs.add_arguments,
+        pairs.run,
     )
     add("speed", "how fast, beside other libraries, and against recorded ratios", speed.add_arguments, speed.run)
     add(

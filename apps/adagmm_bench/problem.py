@@ -21,16 +21,19 @@ PREPARATIONS = {
 
 @dataclass(frozen=True)
 class Cloud:
-    """points (n, D) float64, covariances (n, D, D) float64; D is 2 or 3."""
+    """points (n, D) float64, covariances (n, D, D) float64; D is 2 or 3. viewpoint (D,): where the sensor stood, if
+    that is known.
+    """
 
     points: np.ndarray
     covariances: np.ndarray
+    viewpoint: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.points)
 
     def subset(self, keep: np.ndarray) -> Cloud:
-        return Cloud(self.points[keep], self.covariances[keep])
+        return Cloud(self.points[keep], self.covariances[keep], self.viewpoint)
 
     def rms_radius(self) -> float:
         return float(np.sqrt(np.mean(np.sum((self.points - self.points.mean(axis=0)) ** 2, axis=1))))
@@ -104,5 +107,10 @@ def prepare(problem: Problem, preparation: str) -> Prepared:
         role: np.zeros(problem.dimension) if preparation == "as-given" else cloud.points.mean(axis=0)
         for role, cloud in clouds.items()
     }
-    scaled = {role: Cloud((cloud.points - offsets[role]) / scale, cloud.covariances) for role, cloud in clouds.items()}
+    scaled = {role: _scaled(cloud, offsets[role], scale) for role, cloud in clouds.items()}
     return Prepared(scaled["source"], scaled["target"], offsets["source"], offsets["target"], scale)
+
+
+def _scaled(cloud: Cloud, offset: np.ndarray, scale: float) -> Cloud:
+    viewpoint = None if cloud.viewpoint is None else (cloud.viewpoint - offset) / scale
+    return Cloud((cloud.points - offset) / scale, cloud.covariances, viewpoint)

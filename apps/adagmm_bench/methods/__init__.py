@@ -1,6 +1,7 @@
 """Every method the bench compares. A new one is a function under `@method` in a module imported here."""
 
 from adagmm_bench.methods import (  # noqa: F401  importing registers
+    dense_clouds,
     fast_gicp_methods,
     kiss_matcher_methods,
     open3d_global,

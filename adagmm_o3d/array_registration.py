@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
+from adagmm_o3d.arguments import Array, float_array
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.options import Callback, check_callback, check_criteria, check_estimation_method
 from adagmm_o3d.pairs.device import check_device, mixture_maker
@@ -22,6 +24,8 @@ def register_points(
     estimation_method: Any = None,
     criteria: Any = None,
     device: str = "auto",
+    source_viewpoint: ArrayLike | None = None,
+    target_viewpoint: ArrayLike | None = None,
     callback_after_iteration: Callback | None = None,
 ) -> PointRegistrationResult:
     """Register the points `source` onto `target` as adaptive Gaussian mixtures, in 2D or 3D.
@@ -43,6 +47,9 @@ def register_points(
         `max_iteration` the iterations reported; with 0 of them `init`, or the identity, is the result. None, or
         Open3D's own defaults, for 1e-3 and 200.
     device : "cpu", "cuda", or "auto": a GPU where there is one and enough to do. The coarse levels stay on the CPU.
+    source_viewpoint, target_viewpoint : (D,) from where each cloud was seen, in its own frame and unit, e.g. zeros for
+        a cloud in its camera's frame; None where that is not known. What a sensor has seen through cannot be where the
+        other cloud's points come to lie, which decides where shape alone does not. In 2D they are checked and not used.
     callback_after_iteration : called after each EM iteration with a dictionary, see `registration_adaptive_gmm`.
 
     Returns
@@ -68,7 +75,28 @@ def register_points(
         raise InputError(
             f"target.points: expected shape (n, {moving.dimension}) as the source has, got (n, {fixed.dimension})"
         )
+    viewpoints = checked_viewpoints(source_viewpoint, target_viewpoint, dimension=moving.dimension)
     # Compiled kernels come with Numba, whose import takes as long as a registration: only with the first.
     from adagmm_o3d.search.register import register_mixtures
 
-    return register_mixtures(moving, fixed, init, method, limits, device, callback)
+    return register_mixtures(moving, fixed, init, method, limits, device, callback, viewpoints)
+
+
+def checked_viewpoints(
+    source: ArrayLike | None, target: ArrayLike | None, *, dimension: int
+) -> tuple[Array | None, Array | None]:
+    """(3,) each, from where the clouds were seen; in the plane z = 0 for 2D.
+
+    Raises
+    ------
+    InputTypeError, InputError : not `dimension` finite numbers.
+    """
+
+    def checked(name: str, value: ArrayLike | None) -> Array | None:
+        if value is None:
+            return None
+        viewpoint = np.zeros(3)
+        viewpoint[:dimension] = float_array(name, value, (dimension,))
+        return viewpoint
+
+    return checked("source_viewpoint", source), checked("target_viewpoint", target)

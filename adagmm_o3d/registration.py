@@ -37,6 +37,8 @@ def registration_adaptive_gmm(
     *,
     init_source_to_target: ArrayLike | o3d.core.Tensor | str | None = None,
     device: str = "auto",
+    source_viewpoint: ArrayLike | None = None,
+    target_viewpoint: ArrayLike | None = None,
 ) -> LegacyResult | o3d.t.pipelines.registration.RegistrationResult:
     """Register `source` onto `target` as adaptive Gaussian mixtures; a drop-in for Open3D's ICP and GICP.
 
@@ -64,6 +66,9 @@ def registration_adaptive_gmm(
     voxel_size : [input units] > 0 downsamples both clouds first, as `o3d.t.pipelines.registration.icp` does.
     device : "cpu", "cuda", or "auto": a GPU where there is one and enough to do. Tensor clouds on a CUDA device are
         registered there, whatever their size, unless "cpu" is asked for or `adagmm-o3d[cuda]` is not installed.
+    source_viewpoint, target_viewpoint : (3,) from where each cloud was seen, in its own frame and unit, e.g. zeros for
+        a cloud in its camera's frame; None where that is not known. What a sensor has seen through cannot be where the
+        other cloud's points come to lie, which decides where shape alone does not.
     callback_after_iteration : called after each EM iteration with `iteration_index`, `scale_index`,
         `scale_iteration_index`, `fitness`, `inlier_rmse`, `transformation`, `sigma` and `energy`; tensors for tensor
         clouds, Python numbers and an array for legacy ones. There `fitness` is the estimated overlap and `inlier_rmse`
@@ -100,7 +105,16 @@ def registration_adaptive_gmm(
     voxel_size = real_number("voxel_size", voxel_size)
     if isinstance(source, o3d.t.geometry.PointCloud) and isinstance(target, o3d.t.geometry.PointCloud):
         return register_tensor_clouds(
-            source, target, distance, start, method, criteria, voxel_size, device, callback_after_iteration
+            source,
+            target,
+            distance,
+            start,
+            method,
+            criteria,
+            voxel_size,
+            device,
+            callback_after_iteration,
+            (source_viewpoint, target_viewpoint),
         )
     _check_legacy(source, target)
     if voxel_size > 0:
@@ -116,6 +130,8 @@ def registration_adaptive_gmm(
         estimation_method=method,
         criteria=criteria,
         device=device,
+        source_viewpoint=source_viewpoint,
+        target_viewpoint=target_viewpoint,
         callback_after_iteration=callback_after_iteration,
     )
     evaluated = o3d.pipelines.registration.evaluate_registration(source, target, distance, details.transformation)

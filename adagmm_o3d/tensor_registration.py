@@ -12,7 +12,7 @@ import open3d as o3d
 from numpy.typing import ArrayLike
 
 from adagmm_o3d.arguments import Array
-from adagmm_o3d.array_registration import register_points
+from adagmm_o3d.array_registration import checked_viewpoints, register_points
 from adagmm_o3d.errors import InputError, InputTypeError
 from adagmm_o3d.kernels.cuda.availability import obstacle
 from adagmm_o3d.kernels.limits import EPSILON
@@ -46,6 +46,7 @@ def register_tensor_clouds(
     voxel_size: float,
     device: str,
     callback_after_iteration: Callback | None,
+    viewpoints: tuple[ArrayLike | None, ArrayLike | None],
 ) -> TensorResult:
     """See `registration_adaptive_gmm`; arguments are checked there."""
     if source.device != target.device:
@@ -62,7 +63,9 @@ def register_tensor_clouds(
     if voxel_size > 0:
         source, target = _thinned("source", source, voxel_size), _thinned("target", target, voxel_size)
     register = _register_in_place if _stays_in_place(source, device) else _register_on_host
-    details = register(source, target, init, method, criteria, device, _as_tensors(callback_after_iteration))
+    details = register(
+        source, target, init, method, criteria, device, viewpoints, _as_tensors(callback_after_iteration)
+    )
     transformation = o3d.core.Tensor(details.transformation)
     evaluated = _evaluated(source, target, max_correspondence_distance, transformation)
     result = TensorRegistrationResult()
@@ -115,6 +118,7 @@ def _register_in_place(
     method: TransformationEstimationForAdaptiveGMM,
     criteria: Any,
     device: str,
+    viewpoints: tuple[ArrayLike | None, ArrayLike | None],
     callback: Callback | None,
 ) -> PointRegistrationResult:
     """On the device that the clouds are on, without their points leaving it."""
@@ -122,7 +126,7 @@ def _register_in_place(
     from adagmm_o3d.mixtures.device_mixture import device_mixture
     from adagmm_o3d.search.register import register_mixtures
 
-    limits = check_criteria(criteria)
+    limits, seen_from = check_criteria(criteria), checked_viewpoints(*viewpoints, dimension=3)
     here = current_device(source.point.positions)
     with here:
         mixtures = []
@@ -135,7 +139,7 @@ def _register_in_place(
                     None if covariances is None else on_the_device(covariances),
                 )
             )
-        details = register_mixtures(mixtures[0], mixtures[1], init, method, limits, device, callback)
+        details = register_mixtures(mixtures[0], mixtures[1], init, method, limits, device, callback, seen_from)
 
     def answered_here(ask: Deferred[Answer]) -> Deferred[Answer]:
         def answer() -> Answer:
@@ -144,7 +148,12 @@ def _register_in_place(
 
         return Deferred(answer)
 
-    return replace(details, find_partners=answered_here(details.find_partners), assess=answered_here(details.assess))
+    return replace(
+        details,
+        find_partners=answered_here(details.find_partners),
+        assess=answered_here(details.assess),
+        weigh=answered_here(details.weigh),
+    )
 
 
 def _covariances_in_place(name: str, cloud: TensorCloud) -> o3d.core.Tensor | None:
@@ -185,6 +194,7 @@ def _register_on_host(
     method: TransformationEstimationForAdaptiveGMM,
     criteria: Any,
     device: str,
+    viewpoints: tuple[ArrayLike | None, ArrayLike | None],
     callback: Callback | None,
 ) -> PointRegistrationResult:
     return register_points(
@@ -196,6 +206,8 @@ def _register_on_host(
         estimation_method=method,
         criteria=criteria,
         device=device,
+        source_viewpoint=viewpoints[0],
+        target_viewpoint=viewpoints[1],
         callback_after_iteration=callback,
     )
 

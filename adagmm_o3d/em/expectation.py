@@ -16,11 +16,10 @@ from adagmm_o3d.pairs.protocol import Pairs, PairSums, PosteriorSums
 
 # The share of points without a partner is estimated within these bounds: never none, never nearly all.
 LEAST_UNMATCHED, MOST_UNMATCHED = 0.05, 0.7
-# No part of a cloud that decides between ends resolves its shape better than this: a standard deviation of 1.6 % of the
-# radius. On all points of clouds of some thousand σ follows the residuals down to 1 %, a fraction of their spacing;
-# below, chance coincidences of the samples decide (on recordings of five sensors poses got worse). Dense clouds tell
-# more: there it may follow to where float32 coordinates still have three digits.
-SIGMA_FLOOR, SAMPLED_SIGMA, FINEST_SIGMA = 2.5e-4, 1e-4, 1e-6
+# On all points of clouds of some thousand σ follows the residuals down to 1 % of the radius, a fraction of their
+# spacing; below, chance coincidences of the samples decide (on recordings of five sensors poses got worse). Dense
+# clouds tell more: there it may follow to where float32 coordinates still have three digits.
+SAMPLED_SIGMA, FINEST_SIGMA = 1e-4, 1e-6
 # How fast σ may fall on all points: to this share of itself in an iteration.
 FASTEST = 0.8
 # σ counts as settled when it changes by less than this share.

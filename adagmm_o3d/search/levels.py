@@ -4,17 +4,11 @@ from __future__ import annotations
 
 from functools import cached_property
 
-import numpy as np
-
 from adagmm_o3d.em.runs import End, Limits, Start, joined, run_starts
 from adagmm_o3d.mixtures.merging import MergedMixture, count_certain, merge, sample
 from adagmm_o3d.mixtures.mixture import Mixture
-from adagmm_o3d.mixtures.sampling import some_of
-from adagmm_o3d.mixtures.spacing import spacing_of
+from adagmm_o3d.mixtures.spacing import spacing_of_whole
 from adagmm_o3d.search.schedule import Level, Schedule
-
-# The spacing is measured on at most so many points.
-PROBED = 20_000
 
 Sides = tuple[MergedMixture, MergedMixture]
 
@@ -68,7 +62,5 @@ class Levels:
 
     @cached_property
     def spacing(self) -> float:
-        """Median distance from a point of the target to its nearest neighbour, see `spacing_of`."""
-        part = self.target.points_at(some_of(np.arange(len(self.target)), PROBED))
-        # Of a large cloud only a part is looked at, and the spacing of the whole, a surface (in 2D a curve), follows.
-        return spacing_of(part) * (len(part) / len(self.target)) ** (1.0 / (self.target.dimension - 1))
+        """Median distance from a point of the target to its nearest neighbour."""
+        return spacing_of_whole(self.target)

@@ -16,12 +16,11 @@ from adagmm_o3d.em.expectation import (
     FINEST_SIGMA,
     LEAST_UNMATCHED,
     SAMPLED_SIGMA,
-    SIGMA_FLOOR,
     PosteriorExpectation,
 )
 from adagmm_o3d.em.loop import Outcome, expectation_maximisation
 from adagmm_o3d.em.runs import End, Limits, Start, run_starts
-from adagmm_o3d.mixtures.condensing import condense
+from adagmm_o3d.mixtures.condensing import SIGMA_FLOOR, condense
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.sampling import some_of
 from adagmm_o3d.options import Criteria

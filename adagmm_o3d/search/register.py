@@ -65,7 +65,7 @@ def register_mixtures(
         identity = normalisation.pose_in(np.eye(4))
         found = find(
             levels,
-            given=given,
+            given=None if given is None or np.allclose(given, identity, rtol=0, atol=1e-9) else given,
             identity=identity if method.start != "centroids" else None,
             centroids=method.start != "init",
             everywhere=everywhere,
@@ -108,7 +108,7 @@ def register_mixtures(
         )
     find_partners = partial(no_partners, moving)
     if outcome.stop_reason is not StopReason.NO_OVERLAP:
-        find_partners = partial(partners_of, pairs, moving, outcome.pose, outcome.iterations[-1].sigma)
+        find_partners = partial(partners_of, pairs, moving, fixed, outcome.pose, outcome.iterations[-1].sigma)
     return conclude(
         start,
         outcome,
@@ -167,7 +167,7 @@ def _stay(
         moving,
         fixed,
         ambiguous=False,
-        find_partners=partial(partners_of, pairs, moving, pose, 0.0),
+        find_partners=partial(partners_of, pairs, moving, fixed, pose, 0.0),
         assess=_unknown,
         weigh=_none,
     )

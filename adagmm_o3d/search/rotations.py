@@ -21,10 +21,8 @@ from adagmm_o3d.search.schedule import Level
 ROTATIONS, ANGLES = 128, 24
 # The spiral's second constant, ψ⁴ = ψ + 4 (the first is √2).
 PSI = 1.533751168755204288118041
-# Two poses this far apart (12° or 0.3 radii) that explain the clouds equally well to within this much [nats per point,
-# both clouds added] cannot be told apart. Measured gaps: symmetric bodies sampled twice 0.00 to 0.17 (1 of 30 above),
-# rooms 0.07 and more (4 of 60 below), the simulation's models 1.9 and more.
-APART_AMBIGUOUS, AMBIGUOUS_GAP = 0.3, 0.15
+# Two poses this far apart are clearly different: 12° or 0.3 radii.
+APART_AMBIGUOUS = 0.3
 
 
 def search_globally(levels: Levels) -> list[End]:
@@ -33,7 +31,7 @@ def search_globally(levels: Levels) -> list[End]:
     Returns
     -------
     Up to four ends, likeliest first, each with its σ and unmatched share for the refinement on all points; among them,
-    where there is one, the best that is clearly different from the first (see `is_ambiguous`).
+    where there is one, the best that is clearly different from the first (see `find.is_ambiguous`).
     """
     schedule = levels.schedule
     grid = schedule.grid
@@ -45,16 +43,6 @@ def search_globally(levels: Levels) -> list[End]:
     for number, level in enumerate((schedule.grid_merged, schedule.grid_ranking, schedule.grid_deciding)):
         ends = _best(levels.carry_on(level, ends, number), level)
     return ends
-
-
-def is_ambiguous(ends: list[End]) -> bool:
-    """Whether two clearly different poses among the ends, likeliest first, explain the clouds equally well."""
-    best = ends[0]
-    return any(
-        best.log_likelihood - end.log_likelihood < AMBIGUOUS_GAP
-        and pose_distance(best.pose, end.pose) > APART_AMBIGUOUS
-        for end in ends[1:]
-    )
 
 
 def rotation_grid(count: int) -> Array:

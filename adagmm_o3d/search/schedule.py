@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from adagmm_o3d.em.expectation import SIGMA_FLOOR
+from adagmm_o3d.mixtures.condensing import SIGMA_FLOOR
 
 # How far two starts may be apart and still lead to the same end: σ = 0.3 does not tell them apart.
 SAME_START = 0.1

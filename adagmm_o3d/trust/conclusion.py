@@ -7,11 +7,13 @@ from collections.abc import Callable
 import numpy as np
 
 from adagmm_o3d.arguments import Array
-from adagmm_o3d.em.expectation import SIGMA_FLOOR
 from adagmm_o3d.em.loop import Outcome
 from adagmm_o3d.em.unmatched import uniform_density
+from adagmm_o3d.mixtures.condensing import SIGMA_FLOOR
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.normalisation import Normalisation
+from adagmm_o3d.mixtures.sampling import quantile
+from adagmm_o3d.mixtures.spacing import spacing_of_whole
 from adagmm_o3d.pairs.protocol import Pairs
 from adagmm_o3d.result import Deferred, Partners, PointRegistrationResult, PoseUncertainty, StopReason
 
@@ -55,10 +57,12 @@ def conclude(
     )
 
 
-def partners_of(pairs: Pairs, source: Mixture, pose: Array, sigma: float) -> Partners:
+def partners_of(pairs: Pairs, source: Mixture, target: Mixture, pose: Array, sigma: float) -> Partners:
     """What a pose between normalised mixtures, whose `pairs` they are, says of every input point of the source."""
-    # Finer than the floor, a point between the samples of the other cloud would seem to have no partner.
-    sigma = max(sigma, SIGMA_FLOOR)
+    # Where the mixtures are narrower than the target's spacing, a point between its samples would seem to have no
+    # partner.
+    widest = float(quantile(target.largest_variances, 0.5))
+    sigma = max(sigma, SIGMA_FLOOR, spacing_of_whole(target) ** 2 / widest)
     posterior = pairs.posterior_sums(pose, sigma, uniform_density(JUDGED_UNMATCHED, sigma, source.dimension))
     row_weights = np.zeros(len(source.kept))
     row_weights[source.kept] = posterior.row_weights

@@ -166,7 +166,9 @@ def score_moments(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -> S
         by_blocks += 0.5 * (growth * points + growth**2 * (block.T @ block - points))
     free = np.ix_(FREE[source.dimension], FREE[source.dimension])
     left = sums.gradient[FREE[source.dimension]]
-    curvature = _held(0.5 * (curvature + curvature.T)[free], sums.hessian[free])
+    curvature = 0.5 * (curvature + curvature.T)[free]
+    if np.trace(curvature) > 0.0:
+        curvature = _held(curvature, sums.hessian[free])
     return ScoreMoments(curvature, by_points[free], by_blocks[free], left, sums.row_weights)
 
 

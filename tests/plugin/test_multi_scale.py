@@ -40,7 +40,12 @@ def test_each_size_starts_where_the_last_one_ended(pair):
             pair.source, pair.target, distance, pose, criteria=criteria, voxel_size=size
         )
         pose = expected.transformation
-    assert bits(result) == bits(expected)
+    if isinstance(pair, TensorPair):  # Open3D's grid of a tensor cloud does not add up in the same order every time
+        np.testing.assert_allclose(
+            as_array(result.transformation), as_array(expected.transformation), rtol=0, atol=1e-6
+        )
+    else:
+        assert bits(result) == bits(expected)
     assert (result.fitness, len(result.correspondence_set)) == (expected.fitness, len(expected.correspondence_set))
     errors = pose_errors(pair.T, as_array(result.transformation))
     assert errors.rotation_deg < 1.0 and errors.translation < 0.02

@@ -11,9 +11,10 @@ from typing import Any
 
 from adagmm_bench.methods.variant import Replacement, Variant
 from adagmm_o3d.arguments import Array
-from adagmm_o3d.em.expectation import FINEST_SIGMA, SIGMA_FLOOR
+from adagmm_o3d.em.expectation import FINEST_SIGMA
 from adagmm_o3d.em.runs import End, Start, run_starts
 from adagmm_o3d.em.unmatched import AREA
+from adagmm_o3d.mixtures.condensing import SIGMA_FLOOR
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.search.schedule import SCHEDULE
 from adagmm_o3d.search.starts import around
@@ -120,6 +121,6 @@ ABLATIONS = {
     ),
     "adagmm-without-features": Variant(
         "The default with no poses proposed by local features.",
-        replacements=(Replacement("search.register", "feature_poses", no_features),),
+        replacements=(Replacement("search.find", "feature_poses", no_features),),
     ),
 }

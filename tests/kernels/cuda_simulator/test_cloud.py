@@ -242,7 +242,7 @@ def test_scores_are_those_of_the_host(make, mutuality, no_points_on_the_host):
     host, device = normalise(*host)[:2], normalise(*device)[:2]
     pose = random_pose(np.random.default_rng(6), 3, angle=0.2, distance=0.1)
     # so small a σ that most tiles are out of each other's reach
-    fit = Fit(pose, 2e-3, 0.2, 30.0, mutuality)
+    fit = Fit(pose, 2e-3, 0.2, mutuality)
     expected = score_moments(PairLoop(*host), *host, fit)
     scores = score_moments(cuda_pairs.CudaPairLoop(*device), *device, fit)
     for what in ("curvature", "by_points", "by_blocks", "matched"):

@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from adagmm_o3d.mixtures.grouping import Groups
+from adagmm_o3d.grouping import Groups
 from adagmm_o3d.mixtures.mixture import Mixture
 
 # No part of a cloud that decides between ends resolves its shape better than this σ: a standard deviation of 1.6 % of

@@ -16,7 +16,8 @@ PROBES, PROBED = 150, 20_000
 
 
 def spacing_of(points: Array) -> float:
-    """Median distance from one of (n, 3) points to its nearest neighbour, from a few probes."""
+    """Median distance from one of (n, 3) points to its nearest neighbour in another place, from a few probes."""
+    points = np.unique(points, axis=0)
     probes = some_of(np.arange(len(points)), PROBES)
     squares = np.empty(len(probes))
     nearest_other_sq(np.ascontiguousarray(points.T), probes, squares)

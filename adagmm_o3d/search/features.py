@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adagmm_o3d.arguments import Array
+from adagmm_o3d.grouping import Groups
 from adagmm_o3d.kernels.cpu.consistency import shared_support
 from adagmm_o3d.kernels.cpu.features import BINS, FEATURE, describe, scatter_around, two_nearest
-from adagmm_o3d.mixtures.grouping import Groups
 from adagmm_o3d.mixtures.merging import FLAGGED
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.sampling import some_of

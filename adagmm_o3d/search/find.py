@@ -33,6 +33,8 @@ AMBIGUOUS, AMBIGUOUS_LIKELIHOOD = 0.1, 0.15
 # A given start is believed at once when the clouds explain each other there this much as well as the halves of one
 # cloud do; or, where noise hides the shape, when this share of the points has a partner.
 KNOWN_AGAIN, PLAUSIBLE = 0.5, 0.1
+# What is assumed of points without a partner where σ begins anew.
+FRESH_UNMATCHED = 0.5
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,7 @@ def find(
         return Found(ends[0], is_ambiguous([(end, end.log_likelihood) for end in ends], AMBIGUOUS_LIKELIHOOD))
     near = _judged(judge(), nearby)
     if given is not None and near and max(value for _, value in near) >= KNOWN_AGAIN * judge().reference:
-        return _chosen(near, [])
+        return _chosen(near, [], judge().sigma)
     rest = [] if first is None else [first[1]]
     if levels.source.dimension == 3:
         rest += _proposed(levels, feature_poses(levels.source, levels.target))
@@ -94,7 +96,7 @@ def find(
         if viewpoints[0] is not None and viewpoints[1] is not None:
             more += starts_in_place(levels, viewpoints[0], viewpoints[1])
         pool += _judged(judge(), more)
-    return _chosen(near, pool)
+    return _chosen(near, pool, judge().sigma)
 
 
 def _most_likely(ends: list[End]) -> End:
@@ -130,8 +132,12 @@ def _judged(judge: Judge, ends: list[End]) -> list[tuple[End, float]]:
     return list(zip(ends, judge.evidence([end.pose for end in ends]).tolist(), strict=True)) if ends else []
 
 
-def _chosen(near: list[tuple[End, float]], pool: list[tuple[End, float]]) -> Found:
-    """The best of the pool, or the best near the given start where none is clearly better."""
+def _chosen(near: list[tuple[End, float]], pool: list[tuple[End, float]], sigma: float) -> Found:
+    """The best of the pool, or the best near the given start where none is clearly better; to go on from `sigma`.
+
+    To stay in the nearest optimum σ was forced down, maybe below the noise, where chance decides who is a partner of
+    whom.
+    """
     ranked = sorted([*near, *pool], key=lambda item: -item[1])
     best = ranked[0]
     if near:
@@ -140,7 +146,8 @@ def _chosen(near: list[tuple[End, float]], pool: list[tuple[End, float]]) -> Fou
         if best[1] < at_start[1] + wanted:
             best = at_start
     rivals = [item for item in ranked if item is not best]
-    return Found(best[0], is_ambiguous([best, *rivals], AMBIGUOUS))
+    end = best[0]._replace(sigma=max(best[0].sigma, sigma), unmatched=min(best[0].unmatched, FRESH_UNMATCHED))
+    return Found(end, is_ambiguous([best, *rivals], AMBIGUOUS))
 
 
 def is_ambiguous(ranked: list[tuple[End, float]], gap: float) -> bool:

@@ -19,6 +19,9 @@ from adagmm_o3d.result import Deferred, Partners, PointRegistrationResult, PoseU
 
 # The share of points without a partner that is taken for granted when a point is asked whether it has one.
 JUDGED_UNMATCHED = 0.1
+# The mixtures of points that are asked for a partner are as wide as so many distances between neighbours, which along a
+# curve differ more than on a surface.
+REACH = {2: 1.5, 3: 1.0}
 # Residuals of this variance (a standard deviation of a tenth of the radius) are heavy noise or a wrong pose.
 LARGEST_SIGMA = 0.01
 
@@ -62,7 +65,7 @@ def partners_of(pairs: Pairs, source: Mixture, target: Mixture, pose: Array, sig
     # Where the mixtures are narrower than the target's spacing, a point between its samples would seem to have no
     # partner.
     widest = float(quantile(target.largest_variances, 0.5))
-    sigma = max(sigma, SIGMA_FLOOR, spacing_of_whole(target) ** 2 / widest)
+    sigma = max(sigma, SIGMA_FLOOR, (REACH[target.dimension] * spacing_of_whole(target)) ** 2 / widest)
     posterior = pairs.posterior_sums(pose, sigma, uniform_density(JUDGED_UNMATCHED, sigma, source.dimension))
     row_weights = np.zeros(len(source.kept))
     row_weights[source.kept] = posterior.row_weights

@@ -80,8 +80,9 @@ def pose_uncertainty(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -
     free = np.array(free_directions(source, fit.pose, scores.matched)).reshape(-1, len(scores.curvature))
     held = _complement(free)
     # what the curvature does not hold is free as well
-    values, vectors = np.linalg.eigh(held.T @ scores.curvature @ held)
-    flat = values <= FLAT * np.trace(scores.curvature)
+    curvature = _held(scores.curvature, scores.hessian)
+    values, vectors = np.linalg.eigh(held.T @ curvature @ held)
+    flat = values <= FLAT * np.trace(curvature)
     free = np.concatenate([free, (held @ vectors[:, flat]).T])
     held, values = held @ vectors[:, ~flat], values[~flat]
     ahead = (held / values) @ (held.T @ scores.left)
@@ -119,12 +120,14 @@ def _variance(held: Array, scores: ScoreMoments) -> Array:
 class ScoreMoments:
     """Sums over the scores g of points and of blocks at a pose; k = 6, in 2D 3.
 
-    curvature : (k, k) derivative of the sum of all scores by the pose.   by_points : (k, k) Σ g gᵀ over the points, the
+    curvature : (k, k) derivative of the sum of all scores by the pose.   hessian : (k, k) the same with the weights of
+    the pairs held.   by_points : (k, k) Σ g gᵀ over the points, the
     mean of both clouds'.   by_blocks : the same over blocks.   left : (k,) the sum of all scores.   matched : (M,)
     probability of a partner.
     """
 
     curvature: Array
+    hessian: Array
     by_points: Array
     by_blocks: Array
     left: Array
@@ -167,9 +170,7 @@ def score_moments(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -> S
     free = np.ix_(FREE[source.dimension], FREE[source.dimension])
     left = sums.gradient[FREE[source.dimension]]
     curvature = 0.5 * (curvature + curvature.T)[free]
-    if np.trace(curvature) > 0.0:
-        curvature = _held(curvature, sums.hessian[free])
-    return ScoreMoments(curvature, by_points[free], by_blocks[free], left, sums.row_weights)
+    return ScoreMoments(curvature, sums.hessian[free], by_points[free], by_blocks[free], left, sums.row_weights)
 
 
 def _held(curvature: Array, hessian: Array) -> Array:

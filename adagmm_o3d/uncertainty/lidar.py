@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike
 
 from adagmm_o3d.arguments import Array, float_array, real_number
 from adagmm_o3d.errors import InputError
-from adagmm_o3d.mixtures.grouping import Groups
+from adagmm_o3d.grouping import Groups
 from adagmm_o3d.neighbors import NeighborIndex
 from adagmm_o3d.uncertainty.surface import CHUNK
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from adagmm_o3d.mixtures.grouping import Groups
+from adagmm_o3d.grouping import Groups
 
 
 @pytest.fixture

@@ -156,6 +156,26 @@ def joined(before: list[End], after: list[End]) -> list[End]:
     return [end._replace(start=old.start, trail=old.trail + end.trail) for old, end in zip(before, after, strict=True)]
 
 
+def inverse_of(poses: Array) -> Array:
+    """The inverse rigid motions of (..., 4, 4) poses."""
+    inverse = np.zeros_like(poses)
+    rotations = np.swapaxes(poses[..., :3, :3], -1, -2)
+    inverse[..., :3, :3], inverse[..., 3, 3] = rotations, 1.0
+    inverse[..., :3, 3] = -(rotations @ poses[..., :3, 3:])[..., 0]
+    return inverse
+
+
+def inverse_end(end: End) -> End:
+    """The same end with source and target in each other's place; the shares of partners stay those of its own
+    source."""
+    trail = []
+    for level, rows in end.trail:
+        inverted = rows.copy()
+        inverted[:, :12] = inverse_of(_poses(rows[:, :12]))[:, :3].reshape(-1, 12)
+        trail.append((level, inverted))
+    return end._replace(pose=inverse_of(end.pose), start=inverse_of(end.start), trail=tuple(trail))
+
+
 def pose_distance(a: Array, b: Array) -> Any:
     """‖R_a − R_b‖_F + ‖t_a − t_b‖ of poses (..., 4, 4) between normalised clouds."""
     squares = ((a[..., :3, :] - b[..., :3, :]) ** 2).sum(axis=-2)

@@ -45,7 +45,7 @@ class MergedMixture:
     dimension: int
     isotropic: bool = False
 
-    def take(self, index: slice) -> MergedMixture:
+    def take(self, index: slice | NDArray[np.intp]) -> MergedMixture:
         """The mixture of some of the components."""
         weights = self.weights[index]
         return MergedMixture(

@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.expectation import AdaptiveExpectation
 from adagmm_o3d.em.loop import Outcome, expectation_maximisation
-from adagmm_o3d.em.runs import End
+from adagmm_o3d.em.runs import End, inverse_end, inverse_of
 from adagmm_o3d.em.sigma_rules import Annealed, FigureTwo, NearestDistance, SigmaRule
 from adagmm_o3d.errors import InputError
-from adagmm_o3d.lie import project_to_rotation, split
+from adagmm_o3d.lie import project_to_rotation, se_exp, se_log, split
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.normalisation import Normalisation, normalise
 from adagmm_o3d.options import INIT_TOLERANCE, Callback, Criteria, TransformationEstimationForAdaptiveGMM
@@ -33,6 +33,9 @@ from adagmm_o3d.trust.pose_covariance import uncertainty_out
 
 # No more than a third of `max_iteration` is reported of the search.
 SEARCHING = 3
+# The refinement begins at a pose and σ of so many digits, so that rounding on the way there, which units and the order
+# of the clouds change, makes no difference to it.
+DIGITS = 9
 # The paper's wide mixtures converge slowly: their steps are short long before the end.
 SLOW = 0.01
 
@@ -61,20 +64,26 @@ def register_mixtures(
     weigh: Callable[[], float | None] = _none
     if method.sigma_rule == "posterior":
         levels, seen_from = Levels(moving, fixed, SCHEDULE), normalisation.points_in(*viewpoints)
-        judge = Deferred(lambda: Judge(moving, fixed, levels.sampled(JUDGED), seen_from))
+        turned = comes_second(moving, fixed)
+        searched = Levels(fixed, moving, SCHEDULE) if turned else levels
+        sides = (searched.source, searched.target, searched.sampled(JUDGED))
+        judge = Deferred(lambda: Judge(*sides, seen_from[::-1] if turned else seen_from))
         identity = normalisation.pose_in(np.eye(4))
+        if given is not None and np.allclose(given, identity, rtol=0, atol=1e-9):
+            given = None
         found = find(
-            levels,
-            given=None if given is None or np.allclose(given, identity, rtol=0, atol=1e-9) else given,
-            identity=identity if method.start != "centroids" else None,
+            searched,
+            given=inverse_of(given) if turned and given is not None else given,
+            identity=None if method.start == "centroids" else inverse_of(identity) if turned else identity,
             centroids=method.start != "init",
             everywhere=everywhere,
             search=method.search,
             judge=judge,
-            viewpoints=seen_from,
+            viewpoints=seen_from[::-1] if turned else seen_from,
         )
         ambiguous = found.ambiguous
-        best, limits = _within(limits, found.end)
+        best, limits = _within(limits, inverse_end(found.end) if turned else found.end)
+        best = best._replace(pose=se_exp(np.round(se_log(best.pose), DIGITS)), sigma=float(f"{best.sigma:.{DIGITS}g}"))
         if observe is not None:
             for iteration in best.iterations:
                 observe(iteration)
@@ -91,7 +100,7 @@ def register_mixtures(
         outcome, pairs = refined.outcome, refined.pairs
         if outcome.stop_reason is not StopReason.NO_OVERLAP:
             assess = partial(uncertainty_out, pairs, refined.source, refined.target, refined.fit, normalisation)
-            weigh = partial(_confidence, judge, outcome.pose)
+            weigh = partial(_confidence, judge, inverse_of(outcome.pose) if turned else outcome.pose)
         if refined.source is not moving:
             # What is said of each point is said of all of them.
             pairs = make_pair_loop(moving, refined.target, device)
@@ -128,6 +137,15 @@ def _confidence(judge: Deferred[Judge], pose: Array) -> float:
 
 def _none() -> None:
     """Of a pose that the paper's own rules found, or that no pair speaks for."""
+
+
+def comes_second(source: Mixture, target: Mixture) -> bool:
+    """Whether the search takes the target for its source, so that it finds the same whichever cloud is given first."""
+    sizes = len(source), len(target)
+    if sizes[0] != sizes[1] or source.on_device or target.on_device:
+        return sizes[0] > sizes[1]
+    first, second = (np.sort((mixture.points**2).sum(axis=1)).tolist() for mixture in (source, target))
+    return bool(first > second)
 
 
 def _within(limits: Criteria, end: End) -> tuple[End, Criteria]:

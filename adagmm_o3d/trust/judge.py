@@ -55,7 +55,7 @@ class Judge:
         sides: tuple[MergedMixture, MergedMixture],
         viewpoints: tuple[Array | None, Array | None] = (None, None),
     ) -> None:
-        self._sides = sides
+        self._sides = _distinct(sides[0]), _distinct(sides[1])
         self.sigma, self.reference, coarsened = self._finest_scale()
         # Whether the points' own spacing, or nearly, is the scale: where noise hides it, no shape can be recognised.
         self.sharp = coarsened <= SHARP and self.reference >= KNOWN_SHAPE
@@ -101,6 +101,12 @@ class Judge:
                 return sigma, known, coarsened
             sigma *= COARSER
         raise AssertionError
+
+
+def _distinct(side: MergedMixture) -> MergedMixture:
+    """Without points that are given again, of which one half of a cloud would know too well where the others are."""
+    first = np.unique(side.points, axis=0, return_index=True)[1]
+    return side if len(first) == len(side.points) else side.take(np.sort(first))
 
 
 def _some_points(mixture: Mixture, count: int) -> Array:

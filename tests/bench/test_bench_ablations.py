@@ -21,27 +21,37 @@ from adagmm_o3d.mixtures import spacing
 from adagmm_o3d.search.levels import Levels
 
 
-class SmallParts:
-    """Two parts of 150 points: so few that residuals are tight where 43 % of them have no partner."""
+class Turned:
+    """Two parts of a body, a quarter missing on either, turned against each other by a third of a full turn."""
+
+    def __init__(self, dimension, noise):
+        self.dimension, self.noise = dimension, noise
 
     def load(self):
-        rng = np.random.default_rng([8, 3])
-        points = body_with_head(rng, 150, 3)
-        direction = rng.normal(size=3)
-        source, target = without_side(points, direction), without_side(points, -direction)
-        target = move(target, se_exp(np.concatenate([0.2 * rng.normal(size=3), rng.normal(size=3)])))
-        return Problem("small parts", *(Cloud(p, np.tile(np.eye(3), (len(p), 1, 1))) for p in (source, target)))
+        rng = np.random.default_rng([8, self.dimension])
+        points = body_with_head(rng, 700 if self.dimension == 3 else 150, self.dimension)
+        direction = rng.normal(size=self.dimension)
+        parts = [without_side(points, side) for side in (direction, -direction)]
+        parts = [part + self.noise * rng.normal(size=part.shape) for part in parts]
+        turn = np.array([1.2, -1.2, 1.2]) if self.dimension == 3 else np.array([2.1])
+        target = move(parts[1], se_exp(np.concatenate([turn, rng.normal(size=self.dimension)])))
+        unit = np.eye(self.dimension)
+        return Problem("turned", *(Cloud(p, np.tile(unit, (len(p), 1, 1))) for p in (parts[0], target)))
 
 
 SIDES, DENSE = OppositeSides(3, 0, 0, None), DenseSurface(40_000)
+PLANE, TURNED = OppositeSides(2, 0, 0, None), Turned(3, 0.0)
 # What a row acts on; on SIDES where nothing else is said.
 CASES = {
     "adagmm-without-mutuality": DenseSurface(3000),
     "adagmm-without-condensing": DENSE,
     "adagmm-without-parts": DenseSurface(80_000),
-    "adagmm-without-turned-starts": DENSE,
-    "adagmm-always-searching": SimulatedProblem(TrialId(3, "rotation", -60.0, 0), None),
-    "adagmm-tight-at-any-overlap": SmallParts(),
+    "adagmm-without-acceleration": DENSE,
+    "adagmm-without-centroids": PLANE,
+    "adagmm-without-shifted-starts": PLANE,
+    "adagmm-without-sketch": PLANE,
+    "adagmm-decided-on-all-points": SimulatedProblem(TrialId(3, "noise", 0.31, 0), None),
+    "adagmm-without-features": TURNED,
 }
 
 

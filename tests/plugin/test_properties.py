@@ -20,8 +20,10 @@ SETTLED = 2e-4
 SWAPPED = 2e-2
 # Flagged outliers move the centroids and with them the start; then they weigh a thousandth, and there are half as many.
 FLAGGED = {2: 0.03, 3: 0.15}
-# A normal direction more changes what σ is the mean of.
-LIFTED = 1e-2
+# A normal direction more changes what σ is the mean of, and points without a partner lie on surfaces, not on curves.
+LIFTED = 2e-2
+# More points are other samples for the search, and the refinement may begin elsewhere in the same flat optimum.
+RESAMPLED = 1e-3
 
 SIZE = {2: 100, 3: 250}
 TO_THE_END = o3d.pipelines.registration.ICPConvergenceCriteria(0.0, 1e-9, 1000)
@@ -115,7 +117,7 @@ def test_points_given_several_times_count_for_their_share(p, side, times):
     # All points of a cloud share one weight, so those of a cloud given twice have half of it each.
     points, covariances = getattr(p, side), getattr(p, f"{side}_covariances")
     repeated = {side: np.repeat(points, times, axis=0), f"{side}_covariances": np.repeat(covariances, times, axis=0)}
-    assert_same(p.register(**repeated), p.answer, SETTLED)
+    assert_same(p.register(**repeated), p.answer, RESAMPLED)
 
 
 @settings(max_examples=20)

@@ -42,10 +42,6 @@ def shifted_only(pose: Array, dimension: int) -> list[Start]:
     return [start for start in around(pose, dimension) if (start.pose[:3, :3] == pose[:3, :3]).all()]
 
 
-def turned_only(pose: Array, dimension: int) -> list[Start]:
-    return [start for start in around(pose, dimension) if (start.pose[:3, 3] == pose[:3, 3]).all()]
-
-
 ABLATIONS = {
     "adagmm-without-posterior": Variant(
         "The default with the paper's weights and an annealed sigma instead of posteriors.", {"sigma_rule": "annealed"}
@@ -95,21 +91,9 @@ ABLATIONS = {
     "adagmm-without-search": Variant(
         "The default without the search that follows a doubtful result.", {"search": False}
     ),
-    "adagmm-always-searching": Variant(
-        "The default with a search after a result without doubt too.",
-        replacements=(scheduled(tight=0.0),),
-    ),
-    "adagmm-tight-at-any-overlap": Variant(
-        "The default with tight residuals trusted however few points have a partner.",
-        replacements=(scheduled(tight_unmatched=1.0),),
-    ),
     "adagmm-without-shifted-starts": Variant(
         "The default with a search among turned starts only.",
         replacements=(Replacement("search.starts", "around", turned_only),),
-    ),
-    "adagmm-without-turned-starts": Variant(
-        "The default with a search among shifted starts only.",
-        replacements=(Replacement("search.starts", "around", shifted_only),),
     ),
     "adagmm-without-sketch": Variant(
         f"The default with all starts of a search tried on {SCHEDULE.merged.size[1]} components.",

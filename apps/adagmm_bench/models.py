@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from adagmm_bench.archives import numbers, read_archive
 from adagmm_o3d.errors import InputError
 
 MODEL_FILES = {2: Path("fish2d", "fish_100.npz"), 3: Path("models3d.npz")}
@@ -60,14 +61,14 @@ def load_models(dimension: int, path: Path | None) -> ModelSet:
     if path is None:
         maker = make_outline if dimension == 2 else make_blob
         return ModelSet("made shapes", {f"made_{i:02d}": maker(i) for i in range(MADE_SHAPES)})
-    try:
-        with np.load(path) as archive:
-            if "names" in archive.files:
-                models = {str(name): archive[f"m{i}"].astype(float) for i, name in enumerate(archive["names"])}
-            else:
-                models = {key: archive[key].astype(float) for key in archive.files}
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"{path}: expected an .npz archive of models, got {error}") from error
+    arrays = read_archive(path, "an .npz archive of models")
+    if "names" in arrays:
+        keys = {str(name): f"m{i}" for i, name in enumerate(arrays["names"])}
+        if absent := [key for key in keys.values() if key not in arrays]:
+            raise InputError(f"{path}: expected an .npz archive of models, got names without an array {absent[0]}")
+    else:
+        keys = {key: key for key in arrays}
+    models = {name: numbers(path, key, arrays[key]) for name, key in keys.items()}
     for name, points in models.items():
         if points.ndim != 2 or points.shape[1] != dimension or len(points) < 10:
             raise InputError(f"{path}: model {name}: expected at least 10 points, (n, {dimension}), got {points.shape}")

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import open3d as o3d
 
+from adagmm_bench.archives import numbers, read_archive
 from adagmm_bench.problem import Cloud, Problem
 from adagmm_fusion.clouds.building import clouds_from_pair
 from adagmm_fusion.frames.rgbd import RGBDPair
@@ -49,11 +50,8 @@ class KinectScene:
         ------
         InputError  if the file cannot be read or lacks one of SCENE_ARRAYS.
         """
-        try:
-            with np.load(self.path) as archive:
-                return {name: archive[name].astype(float) for name in SCENE_ARRAYS}
-        except (OSError, ValueError, KeyError) as error:
-            raise InputError(f"{self.path}: expected a scene with {', '.join(SCENE_ARRAYS)}, got {error}") from error
+        arrays = read_archive(self.path, f"a scene with {', '.join(SCENE_ARRAYS)}", SCENE_ARRAYS)
+        return {name: numbers(self.path, name, array) for name, array in arrays.items()}
 
     def load(self) -> Problem:
         arrays = self.arrays()

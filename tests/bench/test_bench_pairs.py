@@ -165,7 +165,18 @@ def test_public_pairs_are_checked(tmp_path):
     np.testing.assert_allclose(source.rms_radius(), 1.0, rtol=0.05, atol=0)
     np.savez(tmp_path / "two.npz", source=np.zeros((20, 2)), target=np.zeros((20, 3)), T=np.eye(4))
     np.savez(tmp_path / "three.npz", source=np.zeros((20, 3)), target=np.zeros((20, 3)))
-    for name, message in (("two", r"source: expected at least 10 finite points"), ("three", "expected a pair of")):
+    np.savez(tmp_path / "four.npz", source=np.zeros((20, 3)), target=np.zeros((20, 3)), T=np.diag([1, 1, 1, np.nan]))
+    np.savez(tmp_path / "five.npz", source=np.full((20, 3), "a"), target=np.zeros((20, 3)), T=np.eye(4))
+    (tmp_path / "six.npz").write_bytes(path.read_bytes()[:1000])
+    (tmp_path / "seven.npz").write_bytes(b"")
+    for name, message in (
+        ("two", r"source: expected at least 10 finite points"),
+        ("three", "expected a pair of source, target, T, got"),
+        ("four", r"T: expected a finite \(4, 4\) pose, or NaN throughout, got \(4, 4\), 1 not finite"),
+        ("five", "source: expected numbers, got <U1"),
+        ("six", "expected a pair of source, target, T, got"),
+        ("seven", "expected a pair of source, target, T, got"),
+    ):
         with pytest.raises(InputError, match=message):
             PublicPair(tmp_path / f"{name}.npz").load()
 

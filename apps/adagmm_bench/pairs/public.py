@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from adagmm_bench.archives import numbers, read_archive
 from adagmm_bench.pairs.problem import PairClouds, plain_pair
 from adagmm_o3d.errors import InputError
 
@@ -41,18 +42,18 @@ def _load(pair: PublicPair) -> PairClouds:
     ------
     InputError  if the file cannot be read, lacks an array or holds something else.
     """
-    try:
-        with np.load(pair.path, allow_pickle=False) as archive:
-            source, target, T = (archive[name].astype(float) for name in ARRAYS)
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"{pair.path}: expected a pair of {', '.join(ARRAYS)}, got {error}") from error
+    arrays = read_archive(pair.path, f"a pair of {', '.join(ARRAYS)}", ARRAYS)
+    source, target, T = (numbers(pair.path, name, arrays[name]) for name in ARRAYS)
     for name, points in (("source", source), ("target", target)):
         if points.ndim != 2 or points.shape[1] != 3 or len(points) < MIN_POINTS or not np.isfinite(points).all():
             raise InputError(
                 f"{pair.path}: {name}: expected at least {MIN_POINTS} finite points, (n, 3), got {points.shape}"
             )
     if T.shape != (4, 4) or not (np.isfinite(T).all() or np.isnan(T).all()):
-        raise InputError(f"{pair.path}: T: expected a (4, 4) pose, or NaN throughout, got\n{T}")
+        unknown = np.count_nonzero(~np.isfinite(T))
+        raise InputError(
+            f"{pair.path}: T: expected a finite (4, 4) pose, or NaN throughout, got {T.shape}, {unknown} not finite"
+        )
     return plain_pair(source, target, T if np.isfinite(T).all() else None)
 
 

@@ -97,16 +97,17 @@ def _curves(records: Sequence[dict], everything: Sequence[dict]) -> list[Table]:
 
 
 def _trust(records: Sequence[dict], everything: Sequence[dict]) -> list[Table]:
-    """Over the pairs of this section, and the last row over those of all sections that were run."""
+    """Over the pairs of this section; where others were run, the last row is over those of all."""
     methods = list(dict.fromkeys(record["method"] for record in records))
     cases, overall = by_group(records), by_group(everything)
     tables = []
     for method in methods:
         columns, rows = trust_table(cases, method)
         rows[-1][0] = "all of these"
-        _, whole = trust_table({ALL: overall[ALL]}, method)
-        whole[-1][0] = "all sections of this run"
-        tables.append((f"what {method} knows", columns, [*rows, *whole]))
+        if len(everything) > len(records):
+            whole = trust_table({ALL: overall[ALL]}, method)[1]
+            rows.append(["all sections of this run", *whole[-1][1:]])
+        tables.append((f"what {method} knows", columns, rows))
     return tables
 
 

@@ -38,8 +38,8 @@ def no_features(source: Mixture, target: Mixture) -> list[Array]:
     return []
 
 
-def shifted_only(pose: Array, dimension: int) -> list[Start]:
-    return [start for start in around(pose, dimension) if (start.pose[:3, :3] == pose[:3, :3]).all()]
+def turned_only(pose: Array, dimension: int) -> list[Start]:
+    return [start for start in around(pose, dimension) if (start.pose[:3, 3] == pose[:3, 3]).all()]
 
 
 ABLATIONS = {

@@ -8,10 +8,13 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 
+from adagmm_fusion.files.input_file import input_digest, read_input
 from adagmm_o3d.errors import InputError
 
 MODEL_FILES = {2: Path("fish2d", "fish_100.npz"), 3: Path("models3d.npz")}
@@ -50,6 +53,12 @@ def find_models(dimension: int, data_folder: Path | None) -> Path | None:
 
 
 @lru_cache(maxsize=4)
+def models_digest(path: Path | None) -> str:
+    """Twelve digits that change with the file's content. Raises InputError if it cannot be read."""
+    return "made shapes" if path is None else input_digest(path, InputError)
+
+
+@lru_cache(maxsize=4)
 def load_models(dimension: int, path: Path | None) -> ModelSet:
     """The models of a file found by `find_models`, or made shapes for None.
 
@@ -61,12 +70,14 @@ def load_models(dimension: int, path: Path | None) -> ModelSet:
         maker = make_outline if dimension == 2 else make_blob
         return ModelSet("made shapes", {f"made_{i:02d}": maker(i) for i in range(MADE_SHAPES)})
     try:
-        with np.load(path) as archive:
+        with np.load(BytesIO(read_input(path, InputError))) as archive:
             if "names" in archive.files:
                 models = {str(name): archive[f"m{i}"].astype(float) for i, name in enumerate(archive["names"])}
             else:
                 models = {key: archive[key].astype(float) for key in archive.files}
-    except (OSError, ValueError, KeyError) as error:
+    except InputError:
+        raise
+    except (OSError, ValueError, KeyError, BadZipFile) as error:
         raise InputError(f"{path}: expected an .npz archive of models, got {error}") from error
     for name, points in models.items():
         if points.ndim != 2 or points.shape[1] != dimension or len(points) < 10:

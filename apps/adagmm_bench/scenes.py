@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 import open3d as o3d
 
 from adagmm_bench.problem import Cloud, Problem
 from adagmm_fusion.clouds.building import clouds_from_pair
+from adagmm_fusion.files.input_file import input_digest, read_input
 from adagmm_fusion.frames.rgbd import RGBDPair
 from adagmm_fusion.pairs.settings import Settings
+from adagmm_fusion.recordings.digests import pair_digest
 from adagmm_fusion.recordings.opening import open_recording
 from adagmm_o3d.errors import AdaGMMError, InputError
 
@@ -39,6 +43,9 @@ class KinectScene:
     def key(self) -> str:
         return self.path.stem
 
+    def content(self) -> str:
+        return input_digest(self.path, InputError)
+
     def facts(self) -> dict:
         return {"scene": self.path.stem}
 
@@ -50,9 +57,11 @@ class KinectScene:
         InputError  if the file cannot be read or lacks one of SCENE_ARRAYS.
         """
         try:
-            with np.load(self.path) as archive:
+            with np.load(BytesIO(read_input(self.path, InputError))) as archive:
                 return {name: archive[name].astype(float) for name in SCENE_ARRAYS}
-        except (OSError, ValueError, KeyError) as error:
+        except InputError:
+            raise
+        except (OSError, ValueError, KeyError, BadZipFile) as error:
             raise InputError(f"{self.path}: expected a scene with {', '.join(SCENE_ARRAYS)}, got {error}") from error
 
     def load(self) -> Problem:
@@ -94,6 +103,9 @@ class FramePair:
     @property
     def key(self) -> str:
         return f"{self.recording.name} {self.name}"
+
+    def content(self) -> str:
+        return pair_digest(self.frames())
 
     def facts(self) -> dict:
         return {"recording": self.recording.name, "pair": self.name}

@@ -14,7 +14,7 @@ import numpy as np
 import open3d as o3d
 
 from adagmm_bench.methods import METHODS
-from adagmm_bench.models import load_models, make_blob, make_outline
+from adagmm_bench.models import load_models, make_blob, make_outline, models_digest
 from adagmm_bench.problem import Cloud, Problem, prepare
 from adagmm_bench.simulation import TrialId, simulate
 from adagmm_o3d.errors import InputError
@@ -32,6 +32,9 @@ class ProblemSource(Protocol):
     def key(self) -> str: ...
 
     def load(self) -> Problem: ...
+
+    def content(self) -> str:
+        """A digest of the data that it is made of."""
 
     def facts(self) -> dict:
         """What a report groups by."""
@@ -51,6 +54,9 @@ class SimulatedProblem:
 
     def load(self) -> Problem:
         return simulate(self.trial_id, load_models(self.trial_id.dimension, self.models_path).models)
+
+    def content(self) -> str:
+        return models_digest(self.models_path)
 
     def facts(self) -> dict:
         return self.trial_id.as_dict()

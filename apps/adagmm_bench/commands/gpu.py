@@ -9,7 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from adagmm_bench.commands.options import add_output
+from adagmm_bench.commands.options import add_output, check_reports
 from adagmm_bench.gpu.card import Card, current_card
 from adagmm_bench.gpu.checks import Check, run_checks
 from adagmm_bench.gpu.operations import PAIR_OPERATIONS
@@ -41,6 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"repeats: expected 1 or more, got {arguments.repeats}")
     if (reason := "this is the CUDA simulator" if simulated() else obstacle()) is not None:
         raise DeviceError(f"gpu: there is nothing to measure: {reason}")
+    check_reports(arguments)
     card = current_card()
     print(card)
     seed = secrets.randbelow(2**32) if arguments.seed is None else arguments.seed

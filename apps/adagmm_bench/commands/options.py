@@ -11,6 +11,7 @@ from adagmm_bench.methods import Method, choose_methods
 from adagmm_bench.models import default_data_folder
 from adagmm_bench.problem import PREPARATIONS
 from adagmm_bench.runner import Placement
+from adagmm_fusion.files.atomic_file import check_output_file
 from adagmm_o3d.errors import InputError
 
 DEFAULT_STARTS = tuple(PREPARATIONS)
@@ -87,6 +88,13 @@ def starts_of(method: Method, starts: tuple[str, ...]) -> tuple[str, ...]:
     return starts
 
 
+def check_reports(arguments: argparse.Namespace) -> None:
+    """Before the work: raise OutputError if the reports under --output cannot be written."""
+    for name in ("report.md", "report.json"):
+        check_output_file(arguments.output / name)
+
+
 def open_journal(arguments: argparse.Namespace) -> Journal:
     """The results under --output. Raises OutputError if they cannot be written, or another run holds them."""
+    check_reports(arguments)
     return Journal(arguments.output / "results.jsonl", fresh=arguments.fresh)

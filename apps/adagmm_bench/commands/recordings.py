@@ -22,7 +22,6 @@ from adagmm_bench.commands.options import (
     starts_of,
 )
 from adagmm_bench.methods import METHODS
-from adagmm_bench.methods.registry import source_digest
 from adagmm_bench.pair_report import pair_table, write_pair_report
 from adagmm_bench.report import markdown_table, print_table
 from adagmm_bench.runner import run_jobs
@@ -31,6 +30,7 @@ from adagmm_bench.summary import summarise
 from adagmm_bench.trial import TrialJob, judge, run_trial
 from adagmm_fusion.pairs.pipeline import register_pair
 from adagmm_fusion.pairs.settings import Settings
+from adagmm_fusion.source_digest import source_digest
 
 END_TO_END = "adagmm-fusion"
 METHODS_BESIDE = ("adagmm", "open3d-point-to-plane", "open3d-gicp", "open3d-gicp-covariances", "small-gicp")

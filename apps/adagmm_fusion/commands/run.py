@@ -10,6 +10,7 @@ import numpy as np
 from rich.console import Console
 
 from adagmm_fusion.commands.progress import progress
+from adagmm_fusion.files.atomic_file import check_output_file
 from adagmm_fusion.files.output_folder import exclusive
 from adagmm_fusion.frames.rgbd import RGBDPair
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh, save_textured_mesh
@@ -25,6 +26,7 @@ from adagmm_fusion.rerun_log import (
     Eye,
     Limits,
     SummaryRow,
+    check_destination,
     dashboard,
     log_pair,
     log_recording_properties,
@@ -52,12 +54,15 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
     logs_to_file = not (args.no_rerun or args.connect or args.serve or args.url or args.stdout)
     if logs_to_file and args.save is None:
         args.save = str(folder / f"{recording.path.resolve().name}.rrd")
+    check_destination(args)
 
     results: dict[str, str] = {}
     records: list[PairRecord] = []
     rig_estimate, stopped = RigEstimate(), None
     with contextlib.ExitStack() as stack:
         stack.enter_context(exclusive(folder))
+        for name in ("report.md", "report.json", "rig.yaml"):
+            check_output_file(folder / name)
         viewer = None if args.no_rerun else stack.enter_context(_viewer(args, recording, settings, len(indices)))
         display = stack.enter_context(progress())
         task = display.add_task("compiling kernels", total=len(indices))

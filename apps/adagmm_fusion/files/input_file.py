@@ -1,5 +1,6 @@
 """Files of a recording or rig, read whole: only regular ones, for a pipe may never end, and none without bound."""
 
+import hashlib
 import os
 import stat
 from pathlib import Path
@@ -33,10 +34,15 @@ def read_input(path: Path, error: type[InputError], *, count: int = MAX_BYTES, m
         raise error(f"{path}: cannot be read: {problem.strerror}") from problem
 
 
+def input_digest(path: Path, error: type[InputError]) -> str:
+    """Twelve digits that change with a file's content; see `read_input`."""
+    return hashlib.sha256(read_input(path, error)).hexdigest()[:12]
+
+
 def read_input_text(path: Path, error: type[InputError]) -> str:
-    """The text of a UTF-8 file; see `read_input`."""
+    """The text of a UTF-8 file, without the mark that editors of Windows put before it; see `read_input`."""
     try:
-        return read_input(path, error).decode("utf-8")
+        return read_input(path, error).decode("utf-8-sig")
     except UnicodeDecodeError as problem:
         byte = problem.object[problem.start]
         raise error(f"{path}: expected UTF-8 text, got byte {byte:#04x}; is it a binary file?") from problem

@@ -1,4 +1,4 @@
-"""Files of a recording or rig, read whole: only regular ones, for a pipe may never end, and none without bound."""
+"""Files that are read: only regular ones, for a pipe may never end, and none whole without bound."""
 
 import hashlib
 import os
@@ -10,20 +10,32 @@ from adagmm_o3d.errors import InputError
 MAX_BYTES = 1 << 28  # far more than an image, a list of images or a calibration
 
 
-def read_input(path: Path, error: type[InputError], *, count: int = MAX_BYTES, missing: str | None = None) -> bytes:
+def check_input(path: Path, error: type[InputError]) -> None:
+    """Before another library opens a file, which would wait for ever for what a pipe may bring.
+
+    Raises
+    ------
+    error  naming the file, if it is not there, cannot be read, or is no file.
+    """
+    read_input(path, error, count=0, bounded=False)
+
+
+def read_input(
+    path: Path, error: type[InputError], *, count: int = MAX_BYTES, missing: str | None = None, bounded: bool = True
+) -> bytes:
     """The bytes of a file, links followed; with `count` its first ones.
 
     Raises
     ------
-    error  naming the file, if it is not there (`missing` says so), cannot be read, is no file, or has more than
-        MAX_BYTES.
+    error  naming the file, if it is not there (`missing` says so), cannot be read, is no file, or, if it is to
+        be `bounded`, has more than MAX_BYTES.
     """
     try:
         with open(path, "rb", opener=_without_waiting) as file:
             status = os.fstat(file.fileno())
             if not stat.S_ISREG(status.st_mode):
                 raise error(f"{path}: cannot be read: it is a pipe or a device, not a file")
-            if status.st_size > MAX_BYTES:
+            if bounded and status.st_size > MAX_BYTES:
                 raise error(
                     f"{path}: cannot be read: expected at most {MAX_BYTES >> 20} MiB, got {status.st_size >> 20}"
                 )

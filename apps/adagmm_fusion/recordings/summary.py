@@ -12,6 +12,9 @@ from adagmm_fusion.recordings.frame_sequence import FrameEntry, Recording
 from adagmm_o3d.errors import AdaGMMError
 from adagmm_o3d.evaluation import pose_errors
 
+# A step that is so much longer than the median one is a gap.
+LONG_STEP = 2.5
+
 
 @dataclass
 class SensorSummary:
@@ -155,6 +158,7 @@ def _sensor_column(sensor: SensorSummary) -> dict[str, str]:
         "median depth of a frame": _range(sensor.median_depths_m, 1.0, "m") or "no depth",
         "missing depth": f"{100.0 * sensor.missing_depth:.1f} %" if sensor.pixels else "not known",
         "time": _duration(sensor.timestamps),
+        "time from frame to frame": _steps(sensor.timestamps),
         "frames with true pose": str(sensor.poses),
     }
 
@@ -175,6 +179,20 @@ def _time_range(seconds: list[float]) -> str:
 
 def _duration(stamps: list[float]) -> str:
     return f"{max(stamps) - min(stamps):.4g} s" if stamps else "not known"
+
+
+def _steps(stamps: list[float]) -> str:
+    """How the times go on, and where they do not: a pause, frames that are missing, a clock that was set."""
+    steps = np.diff(stamps)
+    if not len(steps):
+        return "not known"
+    backwards, gaps = steps[steps <= 0], steps[steps > LONG_STEP * np.median(steps)] if np.median(steps) > 0 else []
+    parts = [_time_range(list(steps))]
+    if len(gaps):
+        parts.append(f"pauses or jumps of the clock: {len(gaps)}, the longest {max(gaps):.4g} s")
+    if len(backwards):
+        parts.append(f"clock stands still or is set back: {len(backwards)}, by up to {-min(backwards):.4g} s")
+    return "; ".join(parts)
 
 
 def _ground_truth(summary: RecordingSummary) -> str:

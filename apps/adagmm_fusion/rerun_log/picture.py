@@ -20,6 +20,7 @@ from rerun.experimental import ViewerClient
 
 from adagmm_fusion.errors import OutputError, RecordingError
 from adagmm_fusion.files.atomic_file import check_output_file, replacing
+from adagmm_fusion.files.input_file import check_input
 from adagmm_fusion.rerun_log.streams import free_port
 from adagmm_o3d.errors import AdaGMMError, InputError
 
@@ -37,8 +38,7 @@ def headless_viewer(path: Path) -> Iterator[ViewerClient]:
     ------
     RecordingError  if the file is not there or does not load.    OutputError  if the viewer cannot be started.
     """
-    if not Path(path).is_file():
-        raise RecordingError(f"{path}: no such Rerun recording")
+    check_input(Path(path), RecordingError)
     os.environ.setdefault("RUST_LOG", "error")
     try:
         started = ViewerClient.spawn(

@@ -4,12 +4,12 @@ Little is imported before signals are heard: Open3D and Numba take a second.
 """
 
 import argparse
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from importlib import metadata
 
-from adagmm_fusion.processes.interruption import Terminated, exit_code, heard_afterwards, signals_as_interrupts
+from adagmm_fusion.processes.interruption import exit_code, heard_afterwards, signals_as_interrupts, word_for
+from adagmm_fusion.processes.terminal import printable, printing, say
 
 SETTINGS_OPTIONS = {
     "sensor_model": "--sensor-model",
@@ -30,9 +30,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     try:
         with signals_as_interrupts():
-            return _run_command(arguments)
+            return printing("adagmm-fusion", lambda: _run_command(arguments))
     except KeyboardInterrupt as stop:
-        print(f"adagmm-fusion: {'terminated' if isinstance(stop, Terminated) else 'interrupted'}", file=sys.stderr)
+        say(f"adagmm-fusion: {word_for(stop)}")
         return exit_code(stop)
 
 
@@ -45,7 +45,7 @@ def _run_command(arguments: Sequence[str] | None) -> int:
     try:
         return args.run(args)
     except AdaGMMError as problem:
-        print(f"adagmm-fusion: {one_line(problem)}", file=sys.stderr)
+        say(f"adagmm-fusion: {one_line(problem)}")
         return 1
 
 
@@ -154,5 +154,5 @@ def _simulate(args: argparse.Namespace) -> int:
     from adagmm_fusion.simulation.recording import simulate_recording
 
     rig = simulate_recording(args.output, pairs=args.pairs, seed=args.seed, calibration=args.calibration)
-    print(f"{args.output}: {args.pairs} pair(s), rig {rig}")
+    print(printable(f"{args.output}: {args.pairs} pair(s), rig {rig}"))
     return 0

@@ -1,5 +1,6 @@
 """The app's own errors. A message starts with the file it is about and fits on one line."""
 
+from adagmm_fusion.processes.terminal import printable
 from adagmm_o3d.errors import AdaGMMError, InputError
 
 __all__ = ["AdaGMMError", "OutputError", "RecordingError", "RigError", "one_line"]
@@ -15,8 +16,7 @@ class RigError(InputError):
 
 def one_line(problem: Exception) -> str:
     """A message as it can be printed: what it quotes from a file, or a file's name, may hold anything."""
-    text = " ".join(str(problem).split())
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+    return printable(" ".join(str(problem).split()))
 
 
 class OutputError(AdaGMMError, OSError):

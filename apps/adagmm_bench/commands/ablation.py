@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Mapping
 
 from adagmm_bench.commands.kinect import found as found_scene
@@ -26,6 +25,7 @@ from adagmm_bench.simulation import REPETITIONS, trial_ids
 from adagmm_bench.summary import Summary, found_in_simulation, summarise
 from adagmm_bench.trial import SimulatedProblem, TrialJob
 from adagmm_fusion.files.atomic_file import write_text
+from adagmm_fusion.processes.terminal import printable, say
 from adagmm_o3d.errors import InputError
 
 START = "as-given"  # so that what the default does about translation counts too
@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         problems["Kinect"] = find_scenes(folder)
     except InputError as error:
-        print(f"left out the Kinect scenes: {error}", file=sys.stderr)
+        say(printable(f"left out the Kinect scenes: {error}"))
     problems["sides"] = [
         OppositeSides(dimension, trial, arguments.seed, find_models(dimension, folder))
         for dimension in (2, 3)
@@ -95,7 +95,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     for group, members in summaries.items():
         print_table(f"one choice undone at a time: {group}", *ablation_table({group: members}))
-    print(f"report and every trial: {arguments.output}")
+    print(printable(f"report and every trial: {arguments.output}"))
     return 0
 
 

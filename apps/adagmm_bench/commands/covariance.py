@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -19,6 +18,7 @@ from adagmm_bench.simulation import REPETITIONS, SWEEPS, trial_ids
 from adagmm_bench.summary import found_in_simulation
 from adagmm_bench.trial import SimulatedProblem, TrialJob
 from adagmm_fusion.files.atomic_file import write_text
+from adagmm_fusion.processes.terminal import printable, say
 from adagmm_o3d.errors import InputError
 
 METHOD, START = "adagmm", "centroids"
@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         scenes = [TrialJob(scene, METHOD, START) for scene in find_scenes(folder)]
     except InputError as error:
-        print(f"left out the Kinect scenes: {error}", file=sys.stderr)
+        say(printable(f"left out the Kinect scenes: {error}"))
     with open_journal(arguments) as journal:
         records = run_jobs([*groups[2], *groups[3], *scenes], journal, placement(arguments), run=run_covariance_trial)
     rows = []
@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
     content = {"command": command_line(), "machine": machine_note(), "columns": COLUMNS, "rows": rows}
     write_json(arguments.output / "report.json", content | {"trials": records})
     print_table("how honest the pose covariance is", COLUMNS, rows)
-    print(f"report and every trial: {arguments.output}")
+    print(printable(f"report and every trial: {arguments.output}"))
     return 0
 
 

@@ -17,6 +17,7 @@ from adagmm_bench.gpu.rates import POINTS, Rate, pair_rates
 from adagmm_bench.gpu.registrations import SIZES, Timing, crossing_point, registration_timings
 from adagmm_bench.report import command_line, machine_note, markdown_table, print_table
 from adagmm_fusion.files.atomic_file import write_text
+from adagmm_fusion.processes.terminal import printable
 from adagmm_o3d.errors import DeviceError, InputError
 from adagmm_o3d.kernels.cuda.availability import obstacle, simulated
 from adagmm_o3d.pairs.device import CROSSING_PAIRS
@@ -56,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     if failed or not clean:
         return 1
     measure(card, arguments.repeats, report, head)
-    print(f"written to {report}")
+    print(printable(f"written to {report}"))
     return 0
 
 

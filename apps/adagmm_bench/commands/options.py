@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 from adagmm_bench.journal import Journal
@@ -12,6 +11,7 @@ from adagmm_bench.models import default_data_folder
 from adagmm_bench.problem import PREPARATIONS
 from adagmm_bench.runner import Placement
 from adagmm_fusion.files.atomic_file import check_output_file
+from adagmm_fusion.processes.terminal import printable, say
 from adagmm_o3d.errors import InputError
 
 DEFAULT_STARTS = tuple(PREPARATIONS)
@@ -67,7 +67,7 @@ def chosen_methods(arguments: argparse.Namespace, dimension: int) -> tuple[list[
     """Methods to run, and why others are left out, which is printed too."""
     chosen, skipped = choose_methods(arguments.methods, dimension)
     for line in skipped:
-        print(f"left out {line}", file=sys.stderr)
+        say(printable(f"left out {line}"))
     if not chosen:
         raise InputError("methods: none is left to run")
     return chosen, skipped

@@ -34,6 +34,7 @@ from adagmm_bench.simulation import REPETITIONS, SWEEPS, trial_ids
 from adagmm_bench.summary import FOUND_ROTATION_ERROR, Summary, best_start, by_setting, summarise
 from adagmm_bench.trial import SimulatedProblem, TrialJob
 from adagmm_fusion.files.atomic_file import write_text
+from adagmm_fusion.processes.terminal import printable
 from adagmm_o3d.errors import InputError
 
 FIGURES = {
@@ -141,7 +142,7 @@ def write_report(
         },
     )
     print_table(f"{dimension}D, {trials} trials a row, {models}", columns, rows)
-    print(f"report, figures and every trial: {arguments.output}")
+    print(printable(f"report, figures and every trial: {arguments.output}"))
 
 
 def overall_table(

@@ -19,6 +19,7 @@ from adagmm_bench.speed.startup import startup
 from adagmm_fusion.files.atomic_file import check_output_file, write_text
 from adagmm_fusion.files.input_file import read_input_text
 from adagmm_fusion.processes.task_pool import TaskFailure, run_tasks
+from adagmm_fusion.processes.terminal import printable
 from adagmm_o3d.errors import AdaGMMError, InputError
 
 RECORDED = Path(__file__).resolve().parents[1] / "recorded_ratios.json"
@@ -70,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
     write_report(arguments.output, measurements, recorded, regressions)
     if arguments.record:
         record(arguments.recorded, measurements)
-        print(f"recorded in {arguments.recorded}")
+        print(printable(f"recorded in {arguments.recorded}"))
     for line in regressions:
         print(f"regression: {line}", file=sys.stderr)
     return 1 if regressions else 0
@@ -155,4 +156,4 @@ def write_report(
         },
     )
     print_table("speed, one thread", columns, rows)
-    print(f"report: {folder}")
+    print(printable(f"report: {folder}"))

@@ -1,8 +1,9 @@
 """`adagmm-fusion calibrate`: a rig file from images of a board."""
 
 import argparse
-import sys
 from pathlib import Path
+
+from adagmm_fusion.processes.terminal import printable, say
 
 TABLE_WIDTH = 150  # where the output is no terminal
 
@@ -81,6 +82,6 @@ def run(args: argparse.Namespace) -> int:
     for table in calibration_tables(result, views):
         console.print(table)
     for warning in result.warnings:
-        print(f"adagmm-fusion: {warning}", file=sys.stderr)
-    print(f"rig: {output}")
+        say(f"adagmm-fusion: {printable(warning)}")
+    print(printable(f"rig: {output}"))
     return 0

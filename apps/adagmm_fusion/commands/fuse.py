@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from adagmm_fusion.commands.recording_arguments import add_recording_arguments, recording_of
+from adagmm_fusion.processes.terminal import printable
 
 MESHES = ("ply", "glb", "obj")
 # The code and the libraries that a registration between two frames comes from.
@@ -110,8 +111,9 @@ def _fuse(args: argparse.Namespace, recording, folder: Path) -> None:
         )
     paths = save_fused_mesh(folder / f"mesh.{args.mesh}", mesh)
     if left_out:
-        print(f"left out, their pose is not known: {len(left_out)} frames ({', '.join(left_out[:5])})")
-    print(f"mesh: {', '.join(map(str, paths))}, {len(placed)} frames, {len(mesh.triangles)} triangles, {note}")
+        print(printable(f"left out, their pose is not known: {len(left_out)} frames ({', '.join(left_out[:5])})"))
+    shown = f"{', '.join(map(str, paths))}, {len(placed)} frames, {len(mesh.triangles)} triangles, {note}"
+    print(printable(f"mesh: {shown}"))
     if args.save or args.connect or args.serve or args.url or args.stdout:
         _show(args, recording, mesh, placed)
 
@@ -200,7 +202,7 @@ def _conclude_path(recording, poses: dict, path: Path) -> None:
     from adagmm_fusion.sequence.trajectory_errors import trajectory_errors
 
     save_trajectory(path, recording, poses)
-    print(f"trajectory: {path}")
+    print(printable(f"trajectory: {path}"))
     true, estimated = true_and_estimated(recording, poses)
     if len(true) >= 3:
         e = trajectory_errors(true, estimated)

@@ -20,6 +20,7 @@ from adagmm_fusion.pairs.record import PairRecord, pair_record
 from adagmm_fusion.pairs.report import Report, terminal_table, write_report
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.processes.interruption import exit_code
+from adagmm_fusion.processes.terminal import printable
 from adagmm_fusion.recordings.frame_sequence import Recording
 from adagmm_fusion.recordings.opening import open_recording
 from adagmm_fusion.rerun_log import (
@@ -104,8 +105,10 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
                 results=results,
             )
             paths = write_report(folder, report)
-            display.stop()
-            _print(report, folder, paths, to_stderr=args.stdout)
+            # Whoever has hung up reads no more of it.
+            with contextlib.nullcontext() if stopped is None else contextlib.suppress(OSError):
+                display.stop()
+                _print(report, folder, paths, to_stderr=args.stdout)
     return 0 if stopped is None else exit_code(stopped)
 
 
@@ -207,7 +210,7 @@ def _viewer(args: argparse.Namespace, recording: Recording, settings: Settings, 
     with open_stream(args, recording.name, dashboard(many_pairs=pair_count > 1)) as stream:
         log_recording_properties(
             stream,
-            recording=str(args.recording),
+            recording=printable(args.recording),
             sensors=recording.sensors,
             calibration=args.calibration,
             parameters=asdict(settings),
@@ -221,7 +224,7 @@ def _print(report: Report, folder: Path, paths: tuple[Path, Path], *, to_stderr:
         console = Console(stderr=to_stderr, highlight=False, soft_wrap=True, width=TABLE_WIDTH)
     console.print(terminal_table(report))
     for line in report.failures():
-        console.print(f"failed: {line}", style="red", markup=False)
-    console.print(f"report: {paths[0]}, {paths[1]}", markup=False)
+        console.print(printable(f"failed: {line}"), style="red", markup=False)
+    console.print(printable(f"report: {paths[0]}, {paths[1]}"), markup=False)
     for what, path in report.results.items():
-        console.print(f"{what}: {os.path.normpath(folder / path)}", markup=False)
+        console.print(printable(f"{what}: {os.path.normpath(folder / path)}"), markup=False)

@@ -8,6 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, inverse_rigid
+from adagmm_fusion.processes.terminal import printable
 from adagmm_fusion.recordings.frame_sequence import FrameEntry, Recording
 from adagmm_o3d.errors import AdaGMMError
 from adagmm_o3d.evaluation import pose_errors
@@ -95,7 +96,7 @@ def summarize_recording(
 def summary_tables(summary: RecordingSummary) -> tuple[Table, Table]:
     """The recording and its pairs; its sensors, a column each."""
     recording = summary.recording
-    general = _table("recording", str(recording.path))
+    general = _table("recording", printable(recording.path))
     for label, value in (
         ("name", recording.name),
         ("format", recording.format),

@@ -43,6 +43,13 @@ def check_destination(args: argparse.Namespace) -> None:
     """
     if args.save is not None:
         check_output_file(args.save)
+        try:
+            os.fspath(args.save).encode()
+        except UnicodeEncodeError as error:
+            wanted = "expected a name in UTF-8 for a Rerun recording"
+            raise OutputError(
+                f"{args.save}: {wanted}; give another --save, or --no-rerun where there is that"
+            ) from error
     if args.port is not None and not 0 <= args.port < 1 << 16:
         raise OutputError(f"--port: expected a number from 0 to 65535, got {args.port}")
 

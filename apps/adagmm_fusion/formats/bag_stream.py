@@ -12,7 +12,6 @@ time, and which ones changes from run to run. So the messages are read one by on
 
 import re
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -37,10 +36,14 @@ OPENCV_MODEL = "brown conrady"
 
 @dataclass(frozen=True, eq=False)
 class _Shots:
-    """The images of a topic in the order of their recording.    times : (n,) int64 [ns].    places : (n,) in it."""
+    """The images of a topic in the order of their recording.    times : (n,) int64 [ns].    places : (n,) in it.
+
+    entries : (n,) of the bag's index.
+    """
 
     times: np.ndarray
     places: np.ndarray
+    entries: list[Any]
 
 
 class BagStream:
@@ -114,25 +117,29 @@ class BagStream:
         return found[0].removesuffix("/image/data")
 
     def _shots_of(self, topic: str) -> _Shots:
-        entries = self._reader.indexes[self._topics[topic].id]
+        entries = self._entries(topic)
         if not entries:
             raise RecordingError(f"{self.path}: there is no image in {topic}")
         chunks = {place: number for number, place in enumerate(sorted(self._reader.chunks))}
         places = np.array([(chunks[entry.chunk_pos] << 32) + entry.offset for entry in entries], dtype=np.int64)
         order = np.argsort(places, kind="stable")
-        return _Shots(np.array([entry.time for entry in entries], dtype=np.int64)[order], places[order])
+        ordered = [entries[i] for i in order]
+        return _Shots(np.array([entry.time for entry in ordered], dtype=np.int64), places[order], ordered)
+
+    def _entries(self, topic: str) -> list[Any]:
+        return list(self._reader.indexes[self._topics[topic].id]) if topic in self._topics else []
 
     def _first(self, topic: str) -> Any:
-        return self._message(topic, None, 0)
-
-    def _message(self, topic: str, time: int | None, number: int) -> Any:
-        """The message of a time [ns], or any, after so many others of it."""
-        if topic not in self._topics:
+        entries = self._entries(topic)
+        if not entries:
             raise RecordingError(f"{self.path}: {topic} is missing; record it anew with RealSense's own tools")
+        return self._message(topic, entries[0])
+
+    def _message(self, topic: str, entry: Any) -> Any:
         connection = self._topics[topic]
-        stop = None if time is None else time + 1
+        self._reader.indexes[connection.id] = [entry]  # it would look through all that come before
         try:
-            _, _, data = next(islice(self._reader.messages([connection], time, stop), number, None))
+            _, _, data = next(self._reader.messages([connection]))
             return self._types.deserialize_ros1(data, connection.msgtype)
         except Exception as problem:  # rosbags raises whatever the damage leads to
             raise RecordingError(f"{self.path}: {topic}: is damaged: {_one_line(problem)}") from problem
@@ -165,9 +172,9 @@ class BagStream:
 
     def _image(self, name: str, index: int) -> np.ndarray:
         """(H, W) uint16 depth, or (H, W, 3) uint8 RGB."""
-        times = self._shots[name].times
-        time = int(times[index])
-        message = self._message(self._images[name], time, int(np.count_nonzero(times[:index] == time)))
+        shots = self._shots[name]
+        time = int(shots.times[index])
+        message = self._message(self._images[name], shots.entries[index])
         known = DEPTH_ENCODINGS if name == "Depth" else tuple(COLOR_CHANNELS)
         if message.encoding not in known:
             raise RecordingError(f"{self.path}: expected {name} as {', '.join(known)}, got {message.encoding!r}")

@@ -6,6 +6,9 @@ from adagmm_o3d.errors import AdaGMMError, InputError
 __all__ = ["AdaGMMError", "OutputError", "RecordingError", "RigError", "one_line"]
 
 
+MAX_LENGTH = 2000  # of a line
+
+
 class RecordingError(InputError):
     """A recording is missing something, or holds something that cannot be used."""
 
@@ -15,8 +18,9 @@ class RigError(InputError):
 
 
 def one_line(problem: Exception) -> str:
-    """A message as it can be printed: what it quotes from a file, or a file's name, may hold anything."""
-    return printable(" ".join(str(problem).split()))
+    """A message as it can be printed: what it quotes from a file, or a file's name, may hold anything, and a lot."""
+    text = printable(" ".join(str(problem).split()))
+    return text if len(text) <= MAX_LENGTH else f"{text[: MAX_LENGTH // 2]} … {text[-MAX_LENGTH // 2 :]}"
 
 
 class OutputError(AdaGMMError, OSError):

@@ -6,7 +6,15 @@ import argparse
 from collections.abc import Mapping
 
 from adagmm_bench.commands.kinect import found as found_scene
-from adagmm_bench.commands.options import add_data, add_output, add_placement, data_folder, open_journal, placement
+from adagmm_bench.commands.options import (
+    add_data,
+    add_output,
+    add_placement,
+    check_count,
+    data_folder,
+    open_journal,
+    placement,
+)
 from adagmm_bench.extra_pairs import LOST, DenseSurface, OppositeSides, found_part
 from adagmm_bench.methods.ablations import ABLATIONS
 from adagmm_bench.models import find_models
@@ -45,8 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    if arguments.trials < 1:
-        raise InputError(f"trials: expected 1 or more, got {arguments.trials}")
+    check_count("trials", arguments.trials)
     folder = data_folder(arguments)
     problems = {
         f"{dimension}D": [

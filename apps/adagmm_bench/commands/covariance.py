@@ -8,7 +8,15 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from adagmm_bench.commands.kinect import found as found_scene
-from adagmm_bench.commands.options import add_data, add_output, add_placement, data_folder, open_journal, placement
+from adagmm_bench.commands.options import (
+    add_data,
+    add_output,
+    add_placement,
+    check_count,
+    data_folder,
+    open_journal,
+    placement,
+)
 from adagmm_bench.covariance_trial import run_covariance_trial
 from adagmm_bench.models import find_models
 from adagmm_bench.report import command_line, machine_note, markdown_table, print_table, write_json
@@ -36,8 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     for name in ("trials", "seeds"):
-        if getattr(arguments, name) < 1:
-            raise InputError(f"{name}: expected 1 or more, got {getattr(arguments, name)}")
+        check_count(name, getattr(arguments, name))
     folder = data_folder(arguments)
     groups = {
         dimension: [

@@ -9,7 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from adagmm_bench.commands.options import add_output, check_reports
+from adagmm_bench.commands.options import add_output, check_count, check_reports
 from adagmm_bench.gpu.card import Card, current_card
 from adagmm_bench.gpu.checks import Check, run_checks
 from adagmm_bench.gpu.operations import PAIR_OPERATIONS
@@ -18,7 +18,7 @@ from adagmm_bench.gpu.registrations import SIZES, Timing, crossing_point, regist
 from adagmm_bench.report import command_line, machine_note, markdown_table, print_table
 from adagmm_fusion.files.atomic_file import write_text
 from adagmm_fusion.processes.terminal import printable
-from adagmm_o3d.errors import DeviceError, InputError
+from adagmm_o3d.errors import DeviceError
 from adagmm_o3d.kernels.cuda.availability import obstacle, simulated
 from adagmm_o3d.pairs.device import CROSSING_PAIRS
 
@@ -38,8 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    if arguments.repeats < 1:
-        raise InputError(f"repeats: expected 1 or more, got {arguments.repeats}")
+    check_count("repeats", arguments.repeats)
     if (reason := "this is the CUDA simulator" if simulated() else obstacle()) is not None:
         raise DeviceError(f"gpu: there is nothing to measure: {reason}")
     check_reports(arguments)

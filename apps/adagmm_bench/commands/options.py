@@ -14,6 +14,7 @@ from adagmm_fusion.files.atomic_file import check_output_file
 from adagmm_fusion.processes.terminal import printable, say
 from adagmm_o3d.errors import InputError
 
+MAX_COUNT = 100_000  # of trials, seeds or repeats: all jobs are listed before the first runs
 DEFAULT_STARTS = tuple(PREPARATIONS)
 
 
@@ -57,6 +58,12 @@ def data_folder(arguments: argparse.Namespace) -> Path | None:
     if not arguments.data.is_dir():
         raise InputError(f"{arguments.data}: --data names no folder")
     return arguments.data.resolve()
+
+
+def check_count(name: str, value: int, most: int = MAX_COUNT) -> None:
+    """Raise InputError unless an option's number is from 1 to `most`."""
+    if not 1 <= value <= most:
+        raise InputError(f"{name}: expected {'1 or more' if value < 1 else f'at most {most}'}, got {value}")
 
 
 def placement(arguments: argparse.Namespace) -> Placement:

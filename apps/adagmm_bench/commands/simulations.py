@@ -9,6 +9,7 @@ from adagmm_bench.commands.options import (
     add_methods,
     add_output,
     add_placement,
+    check_count,
     chosen_methods,
     chosen_starts,
     data_folder,
@@ -35,7 +36,6 @@ from adagmm_bench.summary import FOUND_ROTATION_ERROR, Summary, best_start, by_s
 from adagmm_bench.trial import SimulatedProblem, TrialJob
 from adagmm_fusion.files.atomic_file import write_text
 from adagmm_fusion.processes.terminal import printable
-from adagmm_o3d.errors import InputError
 
 FIGURES = {
     2: {"rotation": 6, "noise": 7, "outliers": 8, "occlusion": 9},
@@ -72,8 +72,7 @@ def words_of_sweeps(text: str) -> tuple[str, ...]:
 
 
 def run(arguments: argparse.Namespace, dimension: int) -> int:
-    if arguments.trials < 1:
-        raise InputError(f"trials: expected 1 or more, got {arguments.trials}")
+    check_count("trials", arguments.trials)
     methods, skipped = chosen_methods(arguments, dimension)
     starts = chosen_starts(arguments)
     models_path = find_models(dimension, data_folder(arguments))

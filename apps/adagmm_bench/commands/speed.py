@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from adagmm_bench.commands.options import add_data, add_output, check_reports, data_folder, words
+from adagmm_bench.commands.options import add_data, add_output, check_count, check_reports, data_folder, words
 from adagmm_bench.report import command_line, machine_note, markdown_table, print_table, write_json
 from adagmm_bench.speed.kernel import kernel
 from adagmm_bench.speed.large import frames, scaling
@@ -52,8 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
     sections = SECTIONS if arguments.sections == ("all",) else arguments.sections
     if unknown := [section for section in sections if section not in SECTIONS]:
         raise InputError(f"sections: unknown {', '.join(unknown)}; known are {', '.join(SECTIONS)}, all")
-    if arguments.repeats < 1:
-        raise InputError(f"repeats: expected 1 or more, got {arguments.repeats}")
+    check_count("repeats", arguments.repeats)
     check_reports(arguments)
     if arguments.record:
         check_output_file(arguments.recorded)

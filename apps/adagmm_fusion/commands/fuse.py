@@ -86,10 +86,12 @@ def run(args: argparse.Namespace) -> int:
 
 def _fuse(args: argparse.Namespace, recording, folder: Path) -> None:
     from adagmm_fusion.commands.progress import staged_progress_bar
+    from adagmm_fusion.meshes.tsdf import check_voxels
     from adagmm_fusion.pairs.settings import Settings
     from adagmm_fusion.sequence.fused_mesh import fuse_frames, save_fused_mesh
     from adagmm_fusion.sequence.scene import scene_of
 
+    check_voxels(args.voxel_size, args.max_memory)
     scene = scene_of(recording, args.moment)
     settings = Settings(max_depth_m=args.max_depth, target_points=args.target_points, device=args.device)
     if args.poses == "truth":

@@ -39,6 +39,7 @@ from adagmm_fusion.rerun_log import (
 from adagmm_fusion.rigs.rig import save_rig
 from adagmm_o3d.errors import InputError
 
+MAX_DIGITS = 100  # of a range of pairs
 TABLE_WIDTH = 150  # of the table where the output is no terminal
 
 
@@ -124,8 +125,9 @@ def selected_pairs(text: str | None, count: int) -> list[int]:
     indices: list[int] = []
     for part in text.split(","):
         first, dash, last = part.strip().partition("-")
-        if not (first.isdecimal() and (last.isdecimal() if dash else not last)):
-            raise InputError(f"--pairs: expected numbers and ranges as in 0,3,5-7, got {text!r}")
+        if not (first.isdecimal() and (last.isdecimal() if dash else not last)) or len(part) > MAX_DIGITS:
+            shown = text if len(text) <= MAX_DIGITS else f"{text[:MAX_DIGITS]}…"
+            raise InputError(f"--pairs: expected numbers and ranges as in 0,3,5-7, got {shown!r}")
         chosen = range(int(first), int(last if dash else first) + 1)
         if not chosen or chosen[-1] >= count:
             raise InputError(f"--pairs: expected ranges within 0-{count - 1}, the recording's pairs, got {part!r}")

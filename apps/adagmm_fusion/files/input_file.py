@@ -40,6 +40,8 @@ def read_input(
                     f"{path}: cannot be read: expected at most {MAX_BYTES >> 20} MiB, got {status.st_size >> 20}"
                 )
             return file.read(count)
+    except ValueError as problem:  # a NUL byte in its name
+        raise error(f"{path}: cannot be read: {problem}") from problem
     except OSError as problem:
         if missing is not None and isinstance(problem, FileNotFoundError):
             raise error(f"{path}: {missing}") from problem

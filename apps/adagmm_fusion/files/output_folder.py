@@ -30,6 +30,8 @@ def exclusive(folder: Path, *, follow_links: bool = True) -> Iterator[None]:
         handle = None if fcntl is None else os.open(folder, os.O_RDONLY | (0 if follow_links else os.O_NOFOLLOW))
     except OutputError:
         raise
+    except ValueError as problem:  # a NUL byte in its name
+        raise OutputError(f"{folder}: cannot be written: {problem}") from problem
     except OSError as problem:
         raise OutputError(f"{folder}: cannot be written: {problem.strerror}") from problem
     try:

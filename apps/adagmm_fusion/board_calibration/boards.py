@@ -144,7 +144,7 @@ def parse_board_size(text: str, name: str) -> tuple[int, int]:
     """(columns, rows) of "9x6". Raises InputError."""
     match = BOARD_SIZE.fullmatch(text)
     if not match:
-        raise InputError(f"{name}: expected columns x rows as 9x6, up to {'9' * MAX_DIGITS}, got {text[:40]!r}")
+        raise InputError(f"{name}: expected columns x rows as 9x6, got {text[:40]!r}")
     return int(match[1]), int(match[2])
 
 

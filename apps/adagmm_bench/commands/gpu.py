@@ -89,7 +89,7 @@ def sanitize() -> tuple[str, bool]:
     for tool in SANITIZER_TOOLS:
         print(f"compute-sanitizer --tool {tool} …", flush=True)
         command = [program, "--tool", tool, "--error-exitcode", "9", sys.executable, "-m", "adagmm_bench.gpu.checks"]
-        done = subprocess.run(command, capture_output=True, text=True)
+        done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace")
         if done.returncode:
             lines = (done.stdout + done.stderr).strip().splitlines()
             return f"compute-sanitizer {tool} failed: {' / '.join(lines[-5:])}", False

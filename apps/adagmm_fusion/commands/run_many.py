@@ -79,7 +79,7 @@ def run_recording(task: RecordingTask) -> RecordingResult:
     with contextlib.redirect_stdout(io.StringIO()):
         run(task.arguments, task.settings)
     path = Path(task.arguments.output) / "report.json"
-    pairs = json.loads(path.read_text())["pairs"]
+    pairs = json.loads(path.read_text(encoding="utf-8"))["pairs"]
 
     def median(key: str) -> float | None:
         known = [pair[key] for pair in pairs if pair[key] is not None]

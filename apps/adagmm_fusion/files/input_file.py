@@ -10,14 +10,14 @@ from adagmm_o3d.errors import InputError
 MAX_BYTES = 1 << 28  # far more than an image, a list of images or a calibration
 
 
-def check_input(path: Path, error: type[InputError]) -> None:
+def check_input(path: Path, error: type[InputError], *, missing: str | None = None) -> None:
     """Before another library opens a file, which would wait for ever for what a pipe may bring.
 
     Raises
     ------
-    error  naming the file, if it is not there, cannot be read, or is no file.
+    error  naming the file, if it is not there (`missing` says so), cannot be read, or is no file.
     """
-    read_input(path, error, count=0, bounded=False)
+    read_input(path, error, count=0, missing=missing, bounded=False)
 
 
 def read_input(

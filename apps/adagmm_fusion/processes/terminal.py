@@ -85,13 +85,18 @@ def _degrading() -> Iterator[None]:
     streams = [stream for stream in (sys.stdout, sys.stderr) if hasattr(stream, "reconfigure")]
     before = [stream.errors for stream in streams]
     for stream in streams:
-        stream.reconfigure(errors=ERRORS)
+        _reconfigure(stream, ERRORS)
     try:
         yield
     finally:
         for stream, errors in zip(streams, before, strict=True):
-            with contextlib.suppress(OSError, ValueError):  # it flushes first
-                stream.reconfigure(errors=errors)
+            _reconfigure(stream, errors)
+
+
+def _reconfigure(stream: TextIO, errors: str | None) -> None:
+    # It flushes first, and seeks where what is behind the stream could do that once.
+    with contextlib.suppress(OSError, ValueError):
+        stream.reconfigure(errors=errors)
 
 
 def _abandon(stream: TextIO) -> None:

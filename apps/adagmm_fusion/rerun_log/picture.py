@@ -38,7 +38,7 @@ def headless_viewer(path: Path) -> Iterator[ViewerClient]:
     ------
     RecordingError  if the file is not there or does not load.    OutputError  if the viewer cannot be started.
     """
-    check_input(Path(path), RecordingError)
+    check_input(Path(path), RecordingError, missing="no such Rerun recording")
     os.environ.setdefault("RUST_LOG", "error")
     try:
         started = ViewerClient.spawn(

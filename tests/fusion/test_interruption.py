@@ -274,6 +274,7 @@ def test_a_signal_during_an_import_is_heard_after_it(number, expected, tmp_path,
         ("llvmlite.binding.executionengine", "ExecutionEngine._raw_object_cache_getbuffer"),
         ("llvmlite.binding.executionengine", "ExecutionEngine._raw_object_cache_notify"),
         ("pyparsing.core", "Forward.__init__"),
+        ("matplotlib.transforms", "Transform.__array__"),
     ],
 )
 def test_a_signal_is_not_raised_where_it_would_do_harm(module, function):

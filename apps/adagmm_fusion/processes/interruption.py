@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+# Compiled code calls these, and takes an exception in them for something else or for nothing.
+LOST_IN = ("__del__", "__array__")
 # An interrupt that has come at a bad moment comes again after so long.
 AGAIN_S = 0.02
 
@@ -94,12 +96,13 @@ def must_not_stop(frame: FrameType | None) -> bool:
     """Whether an exception raised in `frame` would do more than end what runs there.
 
     An import that is interrupted fails in some way of its own. LLVM asks Python for kernels compiled before: there an
-    exception is lost, and the process crashes without what was asked for. In a `__del__` it is lost too. A grammar of
-    pyparsing's (for Matplotlib's labels) that is half made prints a traceback when it is thrown away.
+    exception is lost, and the process crashes without what was asked for. In a `__del__` it is lost too,
+    and in an `__array__`, which Matplotlib's drawing asks for, it becomes another error. A grammar of pyparsing's (for
+    Matplotlib's labels) that is half made prints a traceback when it is thrown away.
     """
     while frame is not None:
         module, function = str(frame.f_globals.get("__name__")), frame.f_code.co_name
-        if module == "importlib._bootstrap" or module.startswith("pyparsing.") or function == "__del__":
+        if module == "importlib._bootstrap" or module.startswith("pyparsing.") or function in LOST_IN:
             return True
         if module == "llvmlite.binding.executionengine" and function.startswith("_raw_"):
             return True

@@ -101,8 +101,6 @@ def read_recorded(path: Path) -> dict[str, float]:
     try:
         ratios = json.loads(read_input_text(path, InputError))["ratios"]
         return {str(key): float(value) for key, value in ratios.items()}
-    except InputError:
-        raise
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{path}: expected recorded ratios, as --record writes them, got {error!r}") from error
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import os
-import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 
 from adagmm_fusion.processes.interruption import exit_code, heard_afterwards, signals_as_interrupts
+from adagmm_fusion.processes.terminal import printing, say
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -80,12 +79,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     try:
         with signals_as_interrupts():
-            return _run_command(arguments)
-    except BrokenPipeError:  # the reader of our output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+            return printing("adagmm-bench", lambda: _run_command(arguments))
     except KeyboardInterrupt as stop:
-        print("adagmm-bench: stopped; the same command goes on from here", file=sys.stderr)
+        say("adagmm-bench: stopped; the same command goes on from here")
         return exit_code(stop)
 
 
@@ -98,5 +94,5 @@ def _run_command(arguments: Sequence[str] | None) -> int:
     try:
         return parsed.run(parsed)
     except AdaGMMError as error:
-        print(f"adagmm-bench: {one_line(error)}", file=sys.stderr)
+        say(f"adagmm-bench: {one_line(error)}")
         return 1

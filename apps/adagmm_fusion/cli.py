@@ -4,20 +4,20 @@ Little is imported before signals are heard: Open3D and Numba take a second.
 """
 
 import argparse
-import sys
 from collections.abc import Sequence
 from importlib import metadata
 
-from adagmm_fusion.processes.interruption import Terminated, exit_code, heard_afterwards, signals_as_interrupts
+from adagmm_fusion.processes.interruption import exit_code, heard_afterwards, signals_as_interrupts, word_for
+from adagmm_fusion.processes.terminal import printing, say
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     try:
         with signals_as_interrupts():
-            return _run_command(arguments)
+            return printing("adagmm-fusion", lambda: _run_command(arguments))
     except KeyboardInterrupt as stop:
-        print(f"adagmm-fusion: {'terminated' if isinstance(stop, Terminated) else 'interrupted'}", file=sys.stderr)
+        say(f"adagmm-fusion: {word_for(stop)}")
         return exit_code(stop)
 
 
@@ -30,7 +30,7 @@ def _run_command(arguments: Sequence[str] | None) -> int:
     try:
         return args.run(args)
     except AdaGMMError as problem:
-        print(f"adagmm-fusion: {one_line(problem)}", file=sys.stderr)
+        say(f"adagmm-fusion: {one_line(problem)}")
         return 1
 
 

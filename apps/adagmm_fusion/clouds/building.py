@@ -17,6 +17,8 @@ SENSOR_MODELS = ("kinect", "nguyen", "surface", "none")
 # The paper registered clouds of 3000 to 4000 points.
 TARGET_POINTS = 3500
 MIN_DEPTH, MAX_DEPTH = 0.1, 6.0
+# No voxels are finer than this [m], nor than this share of the cloud's extent: their numbers would not fit.
+FINEST_VOXEL, FINEST_SHARE = 1e-4, 1e-6
 
 
 def cloud_from_frame(
@@ -102,13 +104,14 @@ def find_voxel_size(clouds: list[o3d.geometry.PointCloud], target_points: int) -
     if target_points < 1:
         raise InputError(f"target_points: expected a positive number, got {target_points}")
     points = [np.asarray(cloud.points) for cloud in clouds]
-    size = max(np.ptp(p, axis=0).max() for p in points) / np.sqrt(target_points)
-    size = max(size, 1e-3)
+    extent = max(np.ptp(p, axis=0).max() for p in points)
+    size = max(extent / np.sqrt(target_points), 1e-3)
     for _ in range(8):
         count = np.mean([_occupied_voxels(p, size) for p in points])
         if abs(count / target_points - 1) < 0.02:
             break
-        size *= np.sqrt(count / target_points)  # a surface fills voxels by its area
+        # A surface fills voxels by its area. Where there are fewer points, no grid is fine enough.
+        size = max(size * np.sqrt(count / target_points), FINEST_VOXEL, extent * FINEST_SHARE)
     return float(size)
 
 

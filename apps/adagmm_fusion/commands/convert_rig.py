@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+from adagmm_fusion.processes.terminal import printable
+
 METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 
@@ -74,5 +76,6 @@ def run(args: argparse.Namespace) -> int:
     }
     save_rig(output, Rig(output.stem, sensors, f"from {', '.join(args.sensors)}"))
     unknown = [name for name, pose in poses.items() if pose is None]
-    print(f"{output}: {', '.join(cameras)}" + (f"; the pose of {', '.join(unknown)} is unknown" if unknown else ""))
+    pose = f"; the pose of {', '.join(unknown)} is unknown" if unknown else ""
+    print(printable(f"{output}: {', '.join(cameras)}{pose}"))
     return 0

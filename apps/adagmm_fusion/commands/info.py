@@ -1,9 +1,9 @@
 """`adagmm-fusion info`: what is in a recording."""
 
 import argparse
-import sys
 
 from adagmm_fusion.commands.recording_arguments import add_recording_arguments, recording_of
+from adagmm_fusion.processes.terminal import printable, say
 
 TABLE_WIDTH = 150  # where the output is no terminal
 
@@ -36,5 +36,5 @@ def run(args: argparse.Namespace) -> int:
     for table in summary_tables(summary):
         console.print(table)
     for problem in summary.problems:
-        print(f"adagmm-fusion: {' '.join(problem.split())}", file=sys.stderr)
+        say(f"adagmm-fusion: {printable(' '.join(problem.split()))}")
     return 1 if summary.problems else 0

@@ -3,6 +3,8 @@
 import argparse
 from typing import Any
 
+from adagmm_fusion.processes.terminal import printable
+
 EXIT_CODES = {"unchanged": 0, "moved": 3, "undecided": 4}
 TABLE_WIDTH = 150  # where the output is no terminal
 
@@ -78,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
         console = Console(highlight=False, soft_wrap=True, width=TABLE_WIDTH)
     for check in checks:
         console.print(_table(check))
-        console.print(_sentence(check), markup=False)
+        console.print(printable(_sentence(check)), markup=False)
     verdicts = {check.verdict for check in checks}
     return next(EXIT_CODES[verdict] for verdict in ("moved", "undecided", "unchanged") if verdict in verdicts)
 

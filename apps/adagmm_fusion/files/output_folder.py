@@ -14,8 +14,10 @@ except ImportError:  # Windows: two runs into one folder are not told apart ther
 
 
 @contextmanager
-def exclusive(folder: Path) -> Iterator[None]:
+def exclusive(folder: Path, *, follow_links: bool = True) -> Iterator[None]:
     """Make the folder where it is missing; within, no other run gets it. However this one ends, it is free again.
+
+    follow_links : whether it may be a link to a folder.
 
     Raises
     ------
@@ -23,7 +25,13 @@ def exclusive(folder: Path) -> Iterator[None]:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        handle = None if fcntl is None else os.open(folder, os.O_RDONLY)
+        if not follow_links and folder.is_symlink():
+            raise OutputError(f"{folder}: expected a folder, it is a link; take it away")
+        handle = None if fcntl is None else os.open(folder, os.O_RDONLY | (0 if follow_links else os.O_NOFOLLOW))
+    except OutputError:
+        raise
+    except ValueError as problem:  # a NUL byte in its name
+        raise OutputError(f"{folder}: cannot be written: {problem}") from problem
     except OSError as problem:
         raise OutputError(f"{folder}: cannot be written: {problem.strerror}") from problem
     try:

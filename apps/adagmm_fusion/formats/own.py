@@ -36,6 +36,7 @@ NAME = "adagmm"
 SUMMARY = "our own layout (recording.yaml, <sensor>/color/, <sensor>/depth/)"
 MANIFEST = "recording.yaml"
 FORMAT, VERSION = "adagmm-recording", 1
+MAX_IMAGES = 1_000_000  # a small file can tell of many frames of many sensors
 FRAME_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 
 
@@ -56,6 +57,8 @@ def read(folder: Path, options: ReadOptions) -> Recording:
     frames = (
         _read_frames(keys["frames"], sensors, moving) if "frames" in keys else _find_frames(folder, sensors[0], moving)
     )
+    if len(frames) * len(calibrations) > MAX_IMAGES:
+        raise RecordingError(f"{folder}: expected at most {MAX_IMAGES} frames of all sensors")
     entries = []
     for name, timestamps, T_world_rig in frames:
         for sensor in calibrations:
@@ -90,17 +93,17 @@ def _read_motion(item: Item) -> bool:
 
 
 def _read_sensors(item: Item) -> list[str]:
-    names: list[str] = []
+    names: dict[str, None] = {}
     for entry in item.sequence():
         name = entry.text()
         if not SENSOR_NAME.fullmatch(name):
             entry.fail(f"expected a name of letters, digits, _ - and . (not first), got {name!r}")
         if name in names:
             entry.fail(f"sensor {name!r} is listed twice")
-        names.append(name)
+        names[name] = None
     if not names:
         item.fail("expected at least one sensor, got none")
-    return names
+    return list(names)
 
 
 def _find_rig(folder: Path, item: Item) -> Path:

@@ -34,6 +34,7 @@ SUMMARY = "TUM RGB-D folder (rgb.txt, depth.txt, groundtruth.txt)"
 SENSOR = "kinect"
 DEPTH_SCALE = 5000.0
 MAX_ASSOCIATION_GAP_S = 0.02
+MAX_WITHIN_GAP = 100  # no camera is that fast; all pairs of so many would be compared
 MAX_POSE_GAP_S = 0.1
 # The benchmark's calibrations of the colour cameras, which the depth is registered to.
 INTRINSICS = {
@@ -52,7 +53,7 @@ def read(folder: Path, options: ReadOptions) -> Recording:
     if (folder / "associations.txt").is_file():
         associations = _read_associations(folder, depths)
     else:
-        associations = _associate(colors, depths)
+        associations = _associate(folder, colors, depths)
     present = [a for a in associations if a[2].exists() or a[1].exists()]
     if not present:
         raise RecordingError(f"{folder}: none of the {len(associations)} associated colour and depth images is there")
@@ -105,13 +106,16 @@ def _read_associations(folder: Path, depths: list[tuple[float, Path]]) -> list[t
 
 
 def _associate(
-    colors: Sequence[tuple[float, Path]], depths: Sequence[tuple[float, Path]]
+    folder: Path, colors: Sequence[tuple[float, Path]], depths: Sequence[tuple[float, Path]]
 ) -> list[tuple[float, Path, Path]]:
     """The best partners first, each image once, as the benchmark's associate.py does."""
     color_stamps = np.array([stamp for stamp, _ in colors])
     candidates = []
     for j, (stamp, _) in enumerate(depths):
         first, last = np.searchsorted(color_stamps, (stamp - MAX_ASSOCIATION_GAP_S, stamp + MAX_ASSOCIATION_GAP_S))
+        if last - first > MAX_WITHIN_GAP:
+            what = f"{last - first} colour images within {MAX_ASSOCIATION_GAP_S:g} s of depth {stamp:g}"
+            raise RecordingError(f"{folder / 'rgb.txt'}: expected timestamps in seconds, there are {what}")
         candidates += [(abs(color_stamps[i] - stamp), i, j) for i in range(first, last)]
     used_colors, used_depths, associations = set(), set(), []
     for _, i, j in sorted(candidates):
@@ -160,7 +164,8 @@ def _read_pairs(path: Path, stamps: np.ndarray) -> tuple[PairEntry, ...]:
     for where, words in read_rows(path):
         indices = []
         for stamp in parse_numbers(words, 2, where):
-            nearest = int(np.abs(stamps - stamp).argmin())
+            after = int(np.searchsorted(stamps, stamp))
+            nearest = min((i for i in (after - 1, after) if 0 <= i < len(stamps)), key=lambda i: abs(stamps[i] - stamp))
             if abs(stamps[nearest] - stamp) > 1e-6:
                 raise RecordingError(
                     f"{where}: no frame has its depth at {stamp:.6f}; the nearest is {stamps[nearest]:.6f}"

@@ -4,6 +4,14 @@ from dataclasses import dataclass
 
 from adagmm_o3d.errors import InputError
 
+# What makes sense with depth cameras and can be computed with; a number beyond is a slip or another unit.
+LIMITS = {
+    "voxel_size_m": (1e-4, 10.0),
+    "target_points": (3, 10_000_000),
+    "max_depth_m": (0.2, 1000.0),
+    "partner_distance_m": (1e-6, 1000.0),
+    "max_iteration": (1, 100_000),
+}
 STARTS = ("features", "geometry")
 
 
@@ -44,6 +52,9 @@ class Settings:
             value = getattr(self, name)
             if not (value is None and name in optional) and not (value is not None and 0 < value < float("inf")):
                 raise InputError(f"{name}: expected a positive number, got {value}")
+            least, most = LIMITS.get(name, (0.0, float("inf")))
+            if value is not None and not least <= value <= most:
+                raise InputError(f"{name}: expected {least:g} to {most:g}, got {value:g}")
         if self.start not in STARTS:
             raise InputError(f"start: expected one of {', '.join(STARTS)}, got {self.start!r}")
         if not 0 <= self.min_overlap <= 1:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adagmm_fusion.errors import RigError
-from adagmm_fusion.files.input_file import read_input
+from adagmm_fusion.files.input_file import check_input, read_input
 from adagmm_fusion.files.opencv_nodes import read_nodes
 from adagmm_fusion.files.strict_yaml import Item, read_yaml
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, checked_rigid_transformation
@@ -86,7 +86,7 @@ def _intrinsics(path: Path, size: tuple[int, int], K: ArrayLike, distortion: Arr
 
 
 def _nodes(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    read_input(path, RigError, count=1)  # it is there, and a file
+    check_input(path, RigError)
     nodes = read_nodes(path, names)
     if nodes is None:
         raise RigError(f"{path}: OpenCV cannot read it; it is damaged or something else")

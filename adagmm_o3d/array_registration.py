@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from numpy.typing import ArrayLike
 
 from adagmm_o3d.errors import InputError
-from adagmm_o3d.options import Callback, check_callback, check_criteria, check_estimation_method
+from adagmm_o3d.options import (
+    Callback,
+    CriteriaArgument,
+    DeviceName,
+    EstimationMethod,
+    check_callback,
+    check_criteria,
+    check_estimation_method,
+)
 from adagmm_o3d.pairs.device import check_device, mixture_maker
 from adagmm_o3d.result import PointRegistrationResult
 
@@ -19,9 +25,9 @@ def register_points(
     target_covariances: ArrayLike | None = None,
     *,
     init: ArrayLike | str | None = None,
-    estimation_method: Any = None,
-    criteria: Any = None,
-    device: str = "auto",
+    estimation_method: EstimationMethod = None,
+    criteria: CriteriaArgument = None,
+    device: DeviceName = "auto",
     callback_after_iteration: Callback | None = None,
 ) -> PointRegistrationResult:
     """Register the points `source` onto `target` as adaptive Gaussian mixtures, in 2D or 3D.
@@ -36,8 +42,8 @@ def register_points(
         to a plausible overlap: the search stays near it. The identity, or None, leaves the choice between the identity
         and common centroids, with starts around, to the likelihood. "global" searches all rotations.
     estimation_method : the options; None, or one of Open3D's own, for the defaults.
-    criteria : Open3D's ICPConvergenceCriteria; `relative_rmse` bounds the last step (see `options.Criteria`),
-        `max_iteration` the EM iterations on all points (the levels before have a few dozen). None for 1e-3 and 200.
+    criteria : `Criteria`, or Open3D's ICPConvergenceCriteria; `relative_rmse` bounds the last step, `max_iteration` the
+        EM iterations on all points (the levels before have a few dozen). None for 1e-3 and 200.
     device : "cpu", "cuda", or "auto": a GPU where there is one and enough to do. The coarse levels stay on the CPU.
     callback_after_iteration : called after each EM iteration with a dictionary, see `registration_adaptive_gmm`.
 

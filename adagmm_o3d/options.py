@@ -6,12 +6,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
-
-import open3d as o3d
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 from adagmm_o3d.arguments import real_number
 from adagmm_o3d.errors import InputError, InputTypeError
+from adagmm_o3d.lazy_open3d import is_installed, o3d
 
 DEFAULT_MAX_ITERATION = 200
 DEFAULT_RELATIVE_RMSE = 1e-3
@@ -21,7 +20,23 @@ StartName = Literal["auto", "init", "centroids"]
 # What is called after each EM iteration, with what `registration_adaptive_gmm` says of it.
 Callback = Callable[[dict[str, Any]], None]
 
-LEGACY, TENSOR = o3d.pipelines.registration, o3d.t.pipelines.registration
+DeviceName = Literal["auto", "cpu", "cuda"]
+
+if TYPE_CHECKING:
+    EstimationMethod: TypeAlias = (
+        "TransformationEstimationForAdaptiveGMM"
+        " | o3d.pipelines.registration.TransformationEstimation"
+        " | o3d.t.pipelines.registration.TransformationEstimation"
+        " | None"
+    )
+    CriteriaArgument: TypeAlias = (
+        "Criteria"
+        " | o3d.pipelines.registration.ICPConvergenceCriteria"
+        " | o3d.t.pipelines.registration.ICPConvergenceCriteria"
+        " | None"
+    )
+else:  # nothing of Open3D is imported for them
+    EstimationMethod = CriteriaArgument = Any
 
 
 @dataclass(frozen=True)
@@ -92,7 +107,7 @@ def check_estimation_method(value: Any) -> TransformationEstimationForAdaptiveGM
         return TransformationEstimationForAdaptiveGMM()
     if isinstance(value, TransformationEstimationForAdaptiveGMM):
         return value
-    if not isinstance(value, (LEGACY.TransformationEstimation, TENSOR.TransformationEstimation)):
+    if not _is_open3ds("TransformationEstimation", value):
         got = f"the class {value.__name__}; add ()" if isinstance(value, type) else type(value).__name__
         raise InputTypeError(
             f"estimation_method: expected TransformationEstimationForAdaptiveGMM() or one of Open3D's, got {got}"
@@ -104,8 +119,16 @@ def check_estimation_method(value: Any) -> TransformationEstimationForAdaptiveGM
     return TransformationEstimationForAdaptiveGMM()
 
 
+def _is_open3ds(name: str, value: object) -> bool:
+    """Whether a value is of one of Open3D's two classes of that name."""
+    if not is_installed():
+        return False
+    kinds = o3d.pipelines.registration, o3d.t.pipelines.registration
+    return isinstance(value, tuple(getattr(kind, name) for kind in kinds))
+
+
 def check_criteria(value: Any) -> Criteria:
-    """When to stop, from Open3D's ICPConvergenceCriteria, legacy or tensor; None for the defaults.
+    """When to stop, from Open3D's ICPConvergenceCriteria, legacy or tensor, or `Criteria`; None for the defaults.
 
     Raises
     ------
@@ -113,7 +136,7 @@ def check_criteria(value: Any) -> Criteria:
     """
     if value is None:
         return Criteria(DEFAULT_RELATIVE_RMSE, DEFAULT_MAX_ITERATION)
-    if not isinstance(value, (LEGACY.ICPConvergenceCriteria, TENSOR.ICPConvergenceCriteria)):
+    if not isinstance(value, Criteria) and not _is_open3ds("ICPConvergenceCriteria", value):
         raise InputTypeError(f"criteria: expected Open3D's ICPConvergenceCriteria, got {type(value).__name__}")
     if value.max_iteration < 1:
         raise InputError(f"criteria.max_iteration: expected at least 1, got {value.max_iteration}")

@@ -1,14 +1,15 @@
 """The command `adagmm-fusion`. Known errors end here: one line on stderr, exit code 1; so do Ctrl-C and SIGTERM.
 
-Little is imported before signals are heard: Open3D and Numba take a second.
+A command's modules are imported when it is the one that runs: Open3D, Numba and Rerun take a second each.
 """
 
 import argparse
+import importlib
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import fields
-from importlib import metadata
 
+from adagmm_fusion.completion import add_completion
+from adagmm_fusion.missing_library import explain
 from adagmm_fusion.processes.interruption import Terminated, exit_code, heard_afterwards, signals_as_interrupts
 
 SETTINGS_OPTIONS = {
@@ -24,6 +25,17 @@ SETTINGS_OPTIONS = {
     "max_translation_error_mm": "--max-translation-error",
     "min_overlap": "--min-overlap",
 }
+# The commands, and what the list of them says of each.
+COMMANDS = {
+    "run": "register the pairs of a recording",
+    "simulate": "render a recording of two Kinects",
+    "info": "say what is in a recording",
+    "convert": "write a recording in our own layout",
+    "calibrate": "make a rig file from images of a board",
+    "convert-rig": "make a rig file of ROS or OpenCV calibrations",
+    "verify": "say whether a rig's calibration is still true",
+    "fuse": "fuse a whole recording into one mesh",
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -37,46 +49,68 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run_command(arguments: Sequence[str] | None) -> int:
-    with heard_afterwards():
-        from adagmm_fusion.errors import AdaGMMError, one_line
-
-        command_line = parser()
-    args = command_line.parse_args(arguments)
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    name = next((argument for argument in arguments if argument in COMMANDS), None)
     try:
-        return args.run(args)
-    except AdaGMMError as problem:
-        print(f"adagmm-fusion: {one_line(problem)}", file=sys.stderr)
+        if name is None:
+            parser([]).parse_args(arguments)  # prints what is asked for, or what is wrong, and exits
+        with heard_afterwards():
+            from adagmm_fusion.errors import AdaGMMError, one_line
+        try:
+            with heard_afterwards():
+                command_line = parser([name])
+            args = command_line.parse_args(arguments)
+            return args.run(args)
+        except AdaGMMError as problem:
+            print(f"adagmm-fusion: {one_line(problem)}", file=sys.stderr)
+            return 1
+    except (ImportError, OSError) as problem:
+        if (line := explain(problem)) is None:
+            raise
+        print(f"adagmm-fusion: {line}", file=sys.stderr)
         return 1
 
 
-def parser() -> argparse.ArgumentParser:
-    """The command line's grammar."""
-    from adagmm_fusion.commands import calibrate, convert, convert_rig, fuse, info, verify
-
+def parser(filled_in: Sequence[str] = tuple(COMMANDS)) -> argparse.ArgumentParser:
+    """The command line's grammar; commands other than those named are in it without their options."""
     top = argparse.ArgumentParser(prog="adagmm-fusion", description="Register and fuse recorded RGB-D pairs.")
-    top.add_argument("--version", action="version", version=f"%(prog)s {metadata.version('adagmm-o3d')}")
+    top.add_argument("--version", action=_PrintVersion, nargs=0, help="show program's version number and exit")
+    add_completion(top, parser)
     commands = top.add_subparsers(required=True, metavar="COMMAND")
-    _add_run(commands)
-    _add_simulate(commands)
-    info.add(commands)
-    convert.add(commands)
-    calibrate.add(commands)
-    convert_rig.add(commands)
-    verify.add(commands)
-    fuse.add(commands)
+    ours = {"run": _add_run, "simulate": _add_simulate}
+    for name, summary in COMMANDS.items():
+        if name not in filled_in:
+            commands.add_parser(name, help=summary)
+        elif name in ours:
+            ours[name](commands)
+        else:
+            importlib.import_module(f"adagmm_fusion.commands.{name.replace('-', '_')}").add(commands)
     return top
 
 
+class _PrintVersion(argparse.Action):
+    def __call__(self, parser, namespace, values, option_string=None) -> None:
+        from importlib import metadata
+
+        print(f"{parser.prog} {metadata.version('adagmm-o3d')}")
+        parser.exit()
+
+
 def _add_run(commands) -> None:
-    from adagmm_fusion.clouds.building import SENSOR_MODELS
+    from dataclasses import fields
+
+    from adagmm_fusion.clouds.sensor_models import sensor_models
+    from adagmm_fusion.commands.rerun_arguments import add_rerun_arguments
     from adagmm_fusion.formats import FORMATS
     from adagmm_fusion.pairs.settings import STARTS, Settings
-    from adagmm_fusion.rerun_log import add_rerun_arguments
 
     default = {field.name: field.default for field in fields(Settings)}
-    text = "Register the pairs of a recording; write a report, fused clouds, the estimated rig and a Rerun recording."
-    command = commands.add_parser("run", help="register the pairs of a recording", description=text)
-    command.add_argument("recording", metavar="RECORDING", help="a folder, or one of many; see recordings/README.md")
+    text = (
+        "Register the pairs of a recording; write a report, fused clouds, the estimated rig and a Rerun recording. The "
+        "exit code is 0 if pairs succeeded, 6 if all failed, and with --strict 5 if some did."
+    )
+    command = commands.add_parser("run", help=COMMANDS["run"], description=text)
+    command.add_argument("recording", metavar="RECORDING", help="a folder, a video file, or a folder of many")
     command.add_argument("--calibration", metavar="RIG", help="a rig file instead of the recording's own calibration")
     command.add_argument("--format", choices=sorted(FORMATS), help="the recording's format (default: looked for)")
     command.add_argument(
@@ -92,6 +126,7 @@ def _add_run(commands) -> None:
     command.add_argument("--workers", type=int, metavar="N", help="for a folder of recordings: local processes")
     command.add_argument("--scheduler", metavar="ADDRESS", help="for a folder of recordings: a Dask cluster instead")
     command.add_argument("--no-clouds", action="store_true", help="write neither fused clouds nor textured meshes")
+    command.add_argument("--strict", action="store_true", help="exit with 5 where some pairs failed, instead of 0")
     method = command.add_argument_group("method")
     success = command.add_argument_group("what counts as success")
 
@@ -107,7 +142,7 @@ def _add_run(commands) -> None:
             **more,
         )
 
-    add(method, "sensor_model", str, None, "where covariances come from", choices=SENSOR_MODELS)
+    add(method, "sensor_model", str, None, "where covariances come from", choices=sensor_models())
     add(method, "voxel_size_m", float, "METRES", "edge of the averaging grid (default: as fits --target-points)")
     add(method, "target_points", int, "N", "points per cloud when the grid is chosen")
     add(method, "max_depth_m", float, "METRES", "measurements farther away are ignored")
@@ -132,7 +167,7 @@ def _add_run(commands) -> None:
 
 def _add_simulate(commands) -> None:
     text = "Render a recording of two Kinects in a furnished room, with an exactly known rig."
-    command = commands.add_parser("simulate", help="render a recording of two Kinects", description=text)
+    command = commands.add_parser("simulate", help=COMMANDS["simulate"], description=text)
     command.add_argument("output", metavar="OUT", help="the recording's new folder")
     command.add_argument("--calibration", metavar="RIG", help="where to write the rig file (default: OUT/rig.yaml)")
     command.add_argument("--pairs", type=int, default=3, metavar="N", help="moments of the room (default: %(default)s)")

@@ -25,7 +25,15 @@ PACKAGE = Path(__file__).resolve().parents[2]
 _log = logging.getLogger("adagmm_o3d")
 
 
-class FallbackLocator(caching.UserWideCacheLocator):
+# Named with or without an underscore, as Numba's version has it.
+_UserWideCacheLocator: Any = next(
+    entry
+    for entry in caching.FunctionCache._impl_class._locator_classes
+    if entry.__name__.lstrip("_") == "UserWideCacheLocator"
+)
+
+
+class FallbackLocator(_UserWideCacheLocator):
     """One of Numba's locators: the user's cache folder, or a temporary one where that cannot be written."""
 
     @classmethod

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from adagmm_bench.methods import METHODS
+from adagmm_bench.methods.registry import UNUSABLE
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,4 +18,6 @@ def run(arguments: argparse.Namespace) -> int:
         state = entry.version() if (missing := entry.missing()) is None else f"cannot run: {missing}"
         named = "" if entry.default else ", only where named"
         print(f"{entry.name} [{where}{named}] {state}\n    {entry.settings()}")
+    for reason in UNUSABLE.values():
+        print(reason)
     return 0

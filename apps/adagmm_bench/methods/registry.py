@@ -23,7 +23,10 @@ from pathlib import Path
 import numpy as np
 
 from adagmm_bench.problem import Cloud
+from adagmm_o3d.entry_points import entry_points, load
 from adagmm_o3d.errors import InputError
+
+GROUP = "adagmm_bench.methods"
 
 Function = Callable[[Cloud, Cloud], np.ndarray]
 
@@ -59,6 +62,17 @@ class Method:
 
 
 METHODS: dict[str, Method] = {}
+# Other packages' modules of methods that cannot be used, with the reason.
+UNUSABLE: dict[str, str] = {}
+
+
+def register_others() -> None:
+    """Import the modules that other packages' entry points name, which enters their methods."""
+    for name, entry in entry_points(GROUP).items():
+        try:
+            load(entry)
+        except InputError as error:
+            UNUSABLE[name] = str(error)
 
 
 def method(
@@ -90,7 +104,7 @@ def choose_methods(names: Sequence[str] | None, dimension: int) -> tuple[list[Me
     """
     if names is not None and (unknown := [name for name in names if name not in METHODS]):
         raise InputError(f"methods: unknown {', '.join(unknown)}; known are {', '.join(METHODS)}")
-    chosen, skipped = [], []
+    chosen, skipped = [], list(UNUSABLE.values()) if names is None else []
     for entry in METHODS.values():
         if (names is None and not entry.default) or (names is not None and entry.name not in names):
             continue

@@ -11,7 +11,7 @@ MESHES = ("ply", "glb", "obj")
 
 
 def add(commands) -> None:
-    from adagmm_fusion.rerun_log import add_rerun_arguments
+    from adagmm_fusion.commands.rerun_arguments import add_rerun_arguments
 
     text = (
         "Register the frames of a recording with each other, make their poses consistent with loop closures and a pose "

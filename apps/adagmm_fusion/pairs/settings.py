@@ -16,7 +16,7 @@ class Settings:
     target_points : points per cloud aimed at when the voxel size is chosen; the paper used 3000 to 4000.
     max_depth_m : farther measurements are ignored [m].
     partner_distance_m : how near two points must be to count as partners in fitness, inlier RMSE and overlap [m];
-        None is 1.5 voxels.
+        None is twice the mean distance of neighbouring target points.
     start : "features": where the features of the two colour images agree on a pose, from there, else from the geometry
         alone; "geometry": always that.
     max_iteration : EM iterations at most; None is the plugin's own default.

@@ -27,12 +27,6 @@ FLUSH_SECONDS = 120.0
 LEAST_ROOM_BYTES = 1 << 20  # the SDK waits for ever where there is no room for a file's beginning
 
 
-def add_rerun_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add Rerun's own script arguments; `--serve` binds to loopback here, `--port` chooses where."""
-    rr.script_add_args(parser)
-    parser.add_argument("--port", type=int, default=None, help="With --serve: the gRPC port (default: a free one)")
-
-
 @contextlib.contextmanager
 def open_stream(args: argparse.Namespace, name: str, blueprint=None) -> Iterator[rr.RecordingStream]:
     """A recording stream that goes where `args` say, closed at the end so that a file has its footer.

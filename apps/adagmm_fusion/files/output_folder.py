@@ -6,11 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from adagmm_fusion.errors import OutputError
-
-try:
-    import fcntl
-except ImportError:  # Windows: two runs into one folder are not told apart there
-    fcntl = None
+from adagmm_fusion.files.file_lock import lock
 
 
 @contextmanager
@@ -23,7 +19,8 @@ def exclusive(folder: Path) -> Iterator[None]:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        handle = None if fcntl is None else os.open(folder, os.O_RDONLY)
+        # Windows opens no folders: two runs into one are not told apart there
+        handle = None if os.name == "nt" else os.open(folder, os.O_RDONLY)
     except OSError as problem:
         raise OutputError(f"{folder}: cannot be written: {problem.strerror}") from problem
     try:
@@ -37,9 +34,6 @@ def exclusive(folder: Path) -> Iterator[None]:
 
 def _locked(handle: int) -> bool:
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
+        return lock(handle)
     except OSError:  # some network file systems lock no folders
-        pass
-    return True
+        return True

@@ -160,10 +160,11 @@ def _wait_for_interrupt(server: subprocess.Popen) -> None:
 
 
 def _stop(server: subprocess.Popen) -> None:
-    """`rerun` is a shim that starts the real program: end the process group, not only the shim."""
+    """`rerun` is a shim that starts the real program: end its process group, where there are such."""
+    groups = hasattr(os, "killpg")
     with contextlib.suppress(ProcessLookupError):
-        os.killpg(server.pid, signal.SIGTERM)
+        os.killpg(server.pid, signal.SIGTERM) if groups else server.terminate()
     with contextlib.suppress(subprocess.TimeoutExpired):
         server.wait(timeout=5.0)
     with contextlib.suppress(ProcessLookupError):
-        os.killpg(server.pid, signal.SIGKILL)
+        os.killpg(server.pid, signal.SIGKILL) if groups else server.kill()

@@ -23,18 +23,14 @@ Callback = Callable[[dict[str, Any]], None]
 DeviceName = Literal["auto", "cpu", "cuda"]
 
 if TYPE_CHECKING:
-    EstimationMethod: TypeAlias = (
-        "TransformationEstimationForAdaptiveGMM"
-        " | o3d.pipelines.registration.TransformationEstimation"
-        " | o3d.t.pipelines.registration.TransformationEstimation"
-        " | None"
+    Open3DEstimation: TypeAlias = (
+        o3d.pipelines.registration.TransformationEstimation | o3d.t.pipelines.registration.TransformationEstimation
     )
-    CriteriaArgument: TypeAlias = (
-        "Criteria"
-        " | o3d.pipelines.registration.ICPConvergenceCriteria"
-        " | o3d.t.pipelines.registration.ICPConvergenceCriteria"
-        " | None"
+    Open3DCriteria: TypeAlias = (
+        o3d.pipelines.registration.ICPConvergenceCriteria | o3d.t.pipelines.registration.ICPConvergenceCriteria
     )
+    EstimationMethod: TypeAlias = "TransformationEstimationForAdaptiveGMM | Open3DEstimation | None"
+    CriteriaArgument: TypeAlias = "Criteria | Open3DCriteria | None"
 else:  # nothing of Open3D is imported for them
     EstimationMethod = CriteriaArgument = Any
 

@@ -59,6 +59,10 @@ def _run_command(arguments: Sequence[str] | None) -> int:
         try:
             with heard_afterwards():
                 command_line = parser([name])
+            if name == "run":
+                from adagmm_fusion.commands.run_config import with_config
+
+                arguments = with_config(arguments, SETTINGS_OPTIONS)
             args = command_line.parse_args(arguments)
             return args.run(args)
         except AdaGMMError as problem:
@@ -127,6 +131,11 @@ def _add_run(commands) -> None:
     command.add_argument("--scheduler", metavar="ADDRESS", help="for a folder of recordings: a Dask cluster instead")
     command.add_argument("--no-clouds", action="store_true", help="write neither fused clouds nor textured meshes")
     command.add_argument("--strict", action="store_true", help="exit with 5 where some pairs failed, instead of 0")
+    command.add_argument("--config", metavar="FILE", help="settings from a file as --dump-config prints it")
+    command.add_argument("--dump-config", action="store_true", help="print the settings as such a file, and end")
+    loudness = command.add_mutually_exclusive_group()
+    loudness.add_argument("-v", "--verbose", action="store_true", help="log what is chosen on the way, too")
+    loudness.add_argument("-q", "--quiet", action="store_true", help="print nothing but errors")
     method = command.add_argument_group("method")
     success = command.add_argument_group("what counts as success")
 
@@ -176,11 +185,20 @@ def _add_simulate(commands) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
+    import logging
+    from dataclasses import asdict
+
     from adagmm_fusion.commands.run import run
+    from adagmm_fusion.commands.run_config import config_text
     from adagmm_fusion.commands.run_many import recordings_in, run_many
     from adagmm_fusion.pairs.settings import Settings
 
     settings = Settings(**{name: getattr(args, name) for name in SETTINGS_OPTIONS})
+    if args.dump_config:
+        print(config_text(asdict(settings)), end="")
+        return 0
+    if args.verbose or args.quiet:
+        logging.basicConfig(level=logging.INFO if args.verbose else logging.ERROR, format="%(message)s")
     recordings = recordings_in(args.recording)
     return run_many(recordings, args, settings) if recordings else run(args, settings)
 

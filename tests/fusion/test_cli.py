@@ -233,3 +233,48 @@ def test_the_version_is_told(capsys):
         main(["--version"])
     assert leaving.value.code == 0
     assert capsys.readouterr().out.startswith("adagmm-fusion 0.")
+
+
+def test_settings_are_dumped_and_taken_again(tmp_path, capsys):
+    given = ["--target-points", "2000", "--voxel-size", "0.07", "--start", "geometry", "--min-overlap", "0.25"]
+    assert main(["run", SHIPPED, *given, "--dump-config"]) == 0
+    text = capsys.readouterr().out
+    assert "target_points: 2000\n" in text and "# max_iteration: chosen as fits\n" in text
+    file = tmp_path / "settings.yaml"
+    file.write_text(text)
+    assert main(["run", SHIPPED, "--config", str(file), "--dump-config"]) == 0
+    assert capsys.readouterr().out == text
+    assert main(["run", SHIPPED, f"--config={file}", "--voxel-size", "0.08", "--dump-config"]) == 0
+    assert capsys.readouterr().out == text.replace("0.07", "0.08")
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "message"),
+    [
+        ("voxel: 1\n", 1, "settings.yaml:1: voxel: unknown key 'voxel'; known here: sensor_model, "),
+        ("voxel_size_m: 1\nvoxel_size_m: 2\n", 1, "settings.yaml:2: "),
+        ("- 1\n", 1, "expected a mapping"),
+        ("target_points: many\n", 2, "argument --target-points: invalid int value: 'many'"),
+        ("sensor_model: sonar\n", 2, "argument --sensor-model: invalid choice: 'sonar'"),
+        ("max_depth_m: -1\n", 1, "max_depth_m: expected a positive number, got -1.0"),
+    ],
+)
+def test_wrong_settings_files_are_errors(text, code, message, tmp_path, capsys):
+    file = tmp_path / "settings.yaml"
+    file.write_text(text)
+    arguments = ["run", SHIPPED, "--config", str(file), "--dump-config"]
+    if code == 2:
+        with pytest.raises(SystemExit) as leaving:
+            main(arguments)
+        assert leaving.value.code == 2
+    else:
+        assert main(arguments) == code
+    out, err = capsys.readouterr()
+    assert out == "" and message in err
+
+
+def test_a_run_can_be_quiet(tmp_path, capsys):
+    arguments = ["run", SHIPPED, "--pairs", "0", "--no-rerun", "--no-clouds", "--output", str(tmp_path), *QUICK]
+    assert main([*arguments, "--quiet"]) == 0
+    assert capsys.readouterr().out == ""
+    assert content(tmp_path)["summary"]["ok"] == 1

@@ -103,7 +103,8 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
             )
             paths = write_report(folder, report)
             display.stop()
-            _print(report, folder, paths, to_stderr=args.stdout)
+            if not args.quiet:
+                _print(report, folder, paths, to_stderr=args.stdout)
     ok = sum(record.status == "ok" for record in records)
     return verdict(ok, len(records), strict=args.strict) if stopped is None else exit_code(stopped)
 

@@ -69,7 +69,8 @@ def run_many(recordings: list[Path], args: argparse.Namespace, settings: Setting
         else:
             numbers = (_shown(result.rotation_deg, 2), _shown(result.translation_mm, 0))
             table.add_row(name, str(result.ok), str(result.pairs), *numbers, result.report)
-    Console().print(table)
+    if not args.quiet:
+        Console().print(table)
     done = [result for result in results.values() if isinstance(result, RecordingResult)]
     if len(done) < len(results):
         return 1

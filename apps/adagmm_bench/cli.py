@@ -76,7 +76,7 @@ def _run_command(arguments: Sequence[str] | None) -> int:
             print(f"adagmm-bench: {one_line(error)}", file=sys.stderr)
             return 1
     except (ImportError, OSError) as error:
-        if (line := explain(error)) is None:
+        if (line := explain(error, own_extra="bench")) is None:
             raise
         print(f"adagmm-bench: {line}", file=sys.stderr)
         return 1

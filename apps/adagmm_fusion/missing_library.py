@@ -18,11 +18,15 @@ EXTRAS = {
 SYSTEM_LIBRARY = "cannot open shared object file"
 
 
-def explain(error: ImportError | OSError) -> str | None:
-    """One line that says what to install; None where the error is about something else."""
+def explain(error: ImportError | OSError, own_extra: str = "apps") -> str | None:
+    """One line that says what to install; None where the error is about something else.
+
+    own_extra : the one that brings what the command cannot do without.
+    """
     library = (getattr(error, "name", None) or "").partition(".")[0]
     if isinstance(error, ModuleNotFoundError) and library in EXTRAS:
-        return f"the Python package {library} is needed and not installed; pip install 'adagmm-o3d[{_extras(library)}]'"
+        extras = _extras(library, own_extra)
+        return f"the Python package {library} is needed and not installed; pip install 'adagmm-o3d[{extras}]'"
     if SYSTEM_LIBRARY in str(error):
         # imported late: it imports NumPy
         from adagmm_o3d.lazy_open3d import LIBRARIES
@@ -31,7 +35,18 @@ def explain(error: ImportError | OSError) -> str | None:
     return None
 
 
-def _extras(library: str) -> str:
-    """The extra that brings a library, with the one for Open3D where that is missing too: no other brings it."""
-    extra = EXTRAS[library]
-    return extra if extra == "open3d" or importlib.util.find_spec("open3d") else f"{extra},open3d"
+def _extras(library: str, own_extra: str) -> str:
+    """The extra that brings a library, and others that are missing too: that for Open3D is part of no other."""
+    extras = {EXTRAS[library]} - {"apps"}
+    if EXTRAS[library] == "apps" or not _is_installed("rich"):
+        extras.add(own_extra)
+    if not _is_installed("open3d"):
+        extras.add("open3d")
+    return ",".join(sorted(extras))
+
+
+def _is_installed(library: str) -> bool:
+    try:
+        return importlib.util.find_spec(library) is not None
+    except (ImportError, ValueError):
+        return False

@@ -7,12 +7,14 @@ from pathlib import Path
 import pytest
 
 import adagmm_o3d
+from adagmm_o3d.lazy_open3d import LIBRARIES
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 MINIMUM_VERSIONS = ROOT / "tests" / "minimum_versions"
-# Linters and the CUDA compiler: their versions decide no test's result.
+# Linters, the CUDA compiler and what builds the documentation: their versions decide no result.
 NOT_PINNED = {"ruff", "mypy", "numba-cuda", "cuda-toolkit", "nvidia-nvjitlink", "nvidia-cuda-nvcc"}
+NOT_PINNED |= {"mkdocs", "mkdocs-material", "mkdocstrings"}
 WITHOUT_WHEELS = {"cycpd", "kiss-matcher"}
 
 
@@ -86,3 +88,20 @@ def test_there_is_a_licence_and_a_word_on_types():
     assert (ROOT / "LICENSE").read_text().startswith("MIT License")
     assert PROJECT["license"] == "MIT"
     assert (ROOT / "adagmm_o3d" / "py.typed").exists()
+
+
+def test_the_workflow_runs_what_is_promised():
+    workflow = (ROOT / ".github" / "workflows" / "tests.yml").read_text()
+    promised = [c.rpartition(" ")[2] for c in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", c)]
+    (listed,) = re.findall(r'python: \[("3.*)\]', workflow)
+    assert listed == ", ".join(f'"{python}"' for python in promised)
+    assert "bash tests/run.sh" in workflow and "bash tests/minimum_versions.sh" in workflow
+
+
+def test_the_libraries_of_the_system_are_the_same_wherever_they_are_named():
+    scripts = (ROOT / "apps" / "system_packages.sh").read_text()
+    needed = set(re.search(r'^LIBRARIES="(.*?)"', scripts, re.MULTILINE)[1].split())
+    assert set(LIBRARIES.split()) == needed
+    for page in ("docs/how-to/gpu_containers_cluster.md", "docs/how-to/questions.md", ".github/workflows/tests.yml"):
+        for line in re.findall(r"apt-get install(.*)", (ROOT / page).read_text()):
+            assert needed <= set(line.strip("`.").split()), page

@@ -188,10 +188,11 @@ def _run(args: argparse.Namespace) -> int:
     import logging
     from dataclasses import asdict
 
-    from adagmm_fusion.commands.run import run
-    from adagmm_fusion.commands.run_config import config_text
-    from adagmm_fusion.commands.run_many import recordings_in, run_many
-    from adagmm_fusion.pairs.settings import Settings
+    with heard_afterwards():
+        from adagmm_fusion.commands.run import run
+        from adagmm_fusion.commands.run_config import config_text
+        from adagmm_fusion.commands.run_many import recordings_in, run_many
+        from adagmm_fusion.pairs.settings import Settings
 
     settings = Settings(**{name: getattr(args, name) for name in SETTINGS_OPTIONS})
     if args.dump_config:

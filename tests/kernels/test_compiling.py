@@ -13,8 +13,8 @@ from adagmm_o3d.kernels.cpu.ranges import run_in_ranges
 
 CHOOSE = """
 import numpy as np
-from adagmm_o3d.kernels.compiling import is_compiled
-from adagmm_o3d.kernels.farthest_points import farthest_points
+from adagmm_o3d.kernels.cpu.compiling import is_compiled
+from adagmm_o3d.kernels.cpu.farthest_points import farthest_points
 
 assert not is_compiled(farthest_points)
 for _ in range(2):

@@ -3,12 +3,14 @@
 from adagmm_o3d.array_registration import register_points
 from adagmm_o3d.errors import AdaGMMError, DegenerateError, DeviceError, InputError, InputTypeError, MissingLibraryError
 from adagmm_o3d.kernels.forking import keep_working_after_fork
+from adagmm_o3d.multi_scale import multi_scale_registration_adaptive_gmm
 from adagmm_o3d.options import Criteria, TransformationEstimationForAdaptiveGMM
 from adagmm_o3d.registration import registration_adaptive_gmm
 from adagmm_o3d.result import PointRegistrationResult, StopReason
 from adagmm_o3d.uncertainty import (
     KinectUncertainty,
     estimate_kinect_covariances,
+    estimate_lidar_covariances,
     estimate_nguyen_covariances,
     estimate_surface_covariances,
     mark_outliers,
@@ -29,9 +31,11 @@ __all__ = [
     "TransformationEstimationForAdaptiveGMM",
     "__version__",
     "estimate_kinect_covariances",
+    "estimate_lidar_covariances",
     "estimate_nguyen_covariances",
     "estimate_surface_covariances",
     "mark_outliers",
+    "multi_scale_registration_adaptive_gmm",
     "register_points",
     "registration_adaptive_gmm",
 ]

@@ -99,6 +99,19 @@ def real_number(name: str, value: Any, *, minimum: float = -math.inf, above: flo
     return number
 
 
+def distance_limit(name: str, value: Any) -> float:
+    """`value` as a float above zero; infinity is no limit.
+
+    Raises
+    ------
+    InputTypeError  if it is not a real number (bool is not one).
+    InputError      if it is NaN, zero or negative.
+    """
+    if isinstance(value, (float, np.floating)) and value == math.inf:
+        return math.inf
+    return real_number(name, value, above=0.0)
+
+
 def whole_number(name: str, value: Any, *, minimum: int) -> int:
     """`value` as an int of at least `minimum`.
 

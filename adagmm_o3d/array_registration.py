@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 from numpy.typing import ArrayLike
 
+from adagmm_o3d.arguments import Array, float_array
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.options import (
     Callback,
@@ -28,6 +30,8 @@ def register_points(
     estimation_method: EstimationMethod = None,
     criteria: CriteriaArgument = None,
     device: DeviceName = "auto",
+    source_viewpoint: ArrayLike | None = None,
+    target_viewpoint: ArrayLike | None = None,
     callback_after_iteration: Callback | None = None,
 ) -> PointRegistrationResult:
     """Register the points `source` onto `target` as adaptive Gaussian mixtures, in 2D or 3D.
@@ -35,16 +39,23 @@ def register_points(
     Parameters
     ----------
     source, target : (M, D) and (N, D), D = 2 or 3, any real dtype, any unit; at least three points each.
-    source_covariances, target_covariances : (M, D, D) and (N, D, D), symmetric positive definite; only their relative
-        size matters, over both clouds. None stands for the identity at every point. A point whose covariance is not
-        finite is ignored and counted; more than 1 % of them is an error.
-    init : (D+1, D+1) rigid transformation source → target. Other than the identity it is believed as long as it leads
-        to a plausible overlap: the search stays near it. The identity, or None, leaves the choice between the identity
-        and common centroids, with starts around, to the likelihood. "global" searches all rotations.
+    source_covariances, target_covariances : (M, D, D) and (N, D, D), symmetric positive semidefinite; only their
+        relative size matters, over both clouds. None stands for the identity at every point; a cloud in place of an
+        array gets `estimate_surface_covariances`. Singular ones, like those that Open3D estimates on flat faces, are
+        given the thickness of a surface and counted, see `make_mixture`. A point whose covariance is not finite is
+        ignored and counted; more than 1 % of them is an error.
+    init : (D+1, D+1) rigid transformation source → target; a rotation written with few digits is made exact. Other than
+        the identity it is believed as long as it leads to a plausible overlap: the search stays near it. The identity,
+        or None, leaves the choice between the identity and common centroids, with starts around, to the likelihood.
+        "global" searches all rotations.
     estimation_method : the options; None, or one of Open3D's own, for the defaults.
-    criteria : `Criteria`, or Open3D's ICPConvergenceCriteria; `relative_rmse` bounds the last step, `max_iteration` the
-        EM iterations on all points (the levels before have a few dozen). None for 1e-3 and 200.
+    criteria : `Criteria`, or Open3D's ICPConvergenceCriteria; `relative_rmse` bounds the last step, `max_iteration`
+        the iterations reported; with 0 of them `init`, or the identity, is the result. None, or
+        Open3D's own defaults, for 1e-3 and 200.
     device : "cpu", "cuda", or "auto": a GPU where there is one and enough to do. The coarse levels stay on the CPU.
+    source_viewpoint, target_viewpoint : (D,) from where each cloud was seen, in its own frame and unit, e.g. zeros for
+        a cloud in its camera's frame; None where that is not known. What a sensor has seen through cannot be where the
+        other cloud's points come to lie, which decides where shape alone does not. In 2D they are checked and not used.
     callback_after_iteration : called after each EM iteration with a dictionary, see `registration_adaptive_gmm`.
 
     Returns
@@ -70,7 +81,28 @@ def register_points(
         raise InputError(
             f"target.points: expected shape (n, {moving.dimension}) as the source has, got (n, {fixed.dimension})"
         )
+    viewpoints = checked_viewpoints(source_viewpoint, target_viewpoint, dimension=moving.dimension)
     # Compiled kernels come with Numba, whose import takes as long as a registration: only with the first.
     from adagmm_o3d.search.register import register_mixtures
 
-    return register_mixtures(moving, fixed, init, method, limits, device, callback)
+    return register_mixtures(moving, fixed, init, method, limits, device, callback, viewpoints)
+
+
+def checked_viewpoints(
+    source: ArrayLike | None, target: ArrayLike | None, *, dimension: int
+) -> tuple[Array | None, Array | None]:
+    """(3,) each, from where the clouds were seen; in the plane z = 0 for 2D.
+
+    Raises
+    ------
+    InputTypeError, InputError : not `dimension` finite numbers.
+    """
+
+    def checked(name: str, value: ArrayLike | None) -> Array | None:
+        if value is None:
+            return None
+        viewpoint = np.zeros(3)
+        viewpoint[:dimension] = float_array(name, value, (dimension,))
+        return viewpoint
+
+    return checked("source_viewpoint", source), checked("target_viewpoint", target)

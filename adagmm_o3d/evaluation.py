@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adagmm_o3d import lie
-from adagmm_o3d.arguments import Array, float_array, real_number
+from adagmm_o3d.arguments import Array, distance_limit, float_array
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.neighbors import NeighborIndex
 
-POSE_TOLERANCE = 1e-3
-"""Largest entry of RᵀR − I that is put down to rounding."""
+POSE_TOLERANCE = 1e-2
+"""Largest entry of RᵀR − I that is put down to rounding; a rotation with three digits has up to 2e-3."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def overlap_ratio(
     ----------
     source_points, target_points : (M, D) and (N, D), D = 2 or 3, not empty.
     transformation : (D + 1, D + 1) rigid, homogeneous, source to target.
-    distance : in the unit of the points, > 0.
+    distance : in the unit of the points, > 0; infinity for no limit.
 
     Returns
     -------
@@ -144,7 +144,7 @@ def overlap_ratio(
     InputTypeError, InputError  if an argument is no finite array of that shape, a cloud is empty, the transformation
                                 is not rigid or the distance not positive.
     """
-    limit = real_number("distance", distance, above=0.0)
+    limit = distance_limit("distance", distance)
     source, target = _clouds(source_points, target_points)
     _, squares = _nearest(source, target, transformation)
     return float(np.mean(squares < limit * limit))
@@ -161,7 +161,7 @@ def evaluate_registration(
     Parameters
     ----------
     source_points, target_points : (M, D) and (N, D), D = 2 or 3, not empty.
-    max_correspondence_distance : in the unit of the points, > 0; a pair must be nearer.
+    max_correspondence_distance : in the unit of the points, > 0; a pair must be nearer. Infinity for no limit.
     transformation : (D + 1, D + 1) rigid, homogeneous, source to target.
 
     Returns
@@ -172,7 +172,7 @@ def evaluate_registration(
     ------
     InputTypeError, InputError  as `overlap_ratio`.
     """
-    limit = real_number("max_correspondence_distance", max_correspondence_distance, above=0.0)
+    limit = distance_limit("max_correspondence_distance", max_correspondence_distance)
     source, target = _clouds(source_points, target_points)
     indices, squares = _nearest(source, target, transformation)
     inliers = np.flatnonzero(squares < limit * limit)
@@ -189,7 +189,10 @@ def information_matrix(
     max_correspondence_distance: float,
     transformation: ArrayLike,
 ) -> Array:
-    """Open3D's `get_information_matrix_from_point_clouds` on arrays, in the plane too: what a pose graph takes.
+    """Open3D's `get_information_matrix_from_point_clouds` on arrays, in the plane too: what its pose graphs take.
+
+    `global_optimization` reads its last entry as the number of pairs, and from that how wrong an edge has to be before
+    it is dropped. The inverse of a result's `pose_covariance` is no such matrix; it suits optimisers without that rule.
 
     Σ Jᵀ J over the corresponding target points q, with J = [−hat(q), I] the motion of q under a left perturbation
     (ω, v): every corresponding pair counts as one measurement of unit variance along each axis.
@@ -197,7 +200,7 @@ def information_matrix(
     Parameters
     ----------
     source_points, target_points : (M, D) and (N, D), D = 2 or 3, not empty.
-    max_correspondence_distance : in the unit of the points, > 0; a pair must be nearer.
+    max_correspondence_distance : in the unit of the points, > 0; a pair must be nearer. Infinity for no limit.
     transformation : (D + 1, D + 1) rigid, homogeneous, source to target.
 
     Returns

@@ -3,17 +3,25 @@ estimation methods, checked at the door."""
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 from adagmm_o3d.arguments import real_number
 from adagmm_o3d.errors import InputError, InputTypeError
+from adagmm_o3d.kernels.limits import EPSILON
 from adagmm_o3d.lazy_open3d import is_installed, o3d
 
 DEFAULT_MAX_ITERATION = 200
 DEFAULT_RELATIVE_RMSE = 1e-3
+# relative_fitness, relative_rmse and max_iteration of Open3D's ICPConvergenceCriteria() when nobody chose them.
+OPEN3D_DEFAULTS = (1e-6, 1e-6, 30)
+# Largest entry of RᵀR − I in a pose to start from, which is then made exact: its entries are 5e-3 off. A rotation with
+# three digits has up to 2e-3; a scale, a shear or a reflection that somebody could mean has more than this.
+INIT_TOLERANCE = 1e-2
 
 SigmaRuleName = Literal["posterior", "annealed", "nearest", "figure2"]
 StartName = Literal["auto", "init", "centroids"]
@@ -34,13 +42,23 @@ if TYPE_CHECKING:
 else:  # nothing of Open3D is imported for them
     EstimationMethod = CriteriaArgument = Any
 
+# What an estimation method of Open3D looks at and ours does not.
+UNUSED = {
+    "TransformationEstimationForColoredICP": "colours are not looked at",
+    "TransformationEstimationForDopplerICP": "Doppler velocities are not looked at",
+}
+
+_log = logging.getLogger("adagmm_o3d")
+
 
 @dataclass(frozen=True)
 class Criteria:
     """When an EM iteration has changed nothing worth another one; the words and numbers are Open3D's.
 
     The residual is flat at its minimum: a step of ε standard deviations changes it by about ε². So a pose has settled
-    when a step is below √relative_rmse standard deviations of the mixtures. max_iteration bounds the EM iterations.
+    when a step is below √relative_rmse standard deviations of the mixtures. max_iteration bounds the iterations that
+    are reported, and with them those on all points, see `PointRegistrationResult.iterations`; at 0 the start is the
+    result.
     """
 
     relative_rmse: float
@@ -92,7 +110,7 @@ class TransformationEstimationForAdaptiveGMM:
 
 
 def check_estimation_method(value: Any) -> TransformationEstimationForAdaptiveGMM:
-    """The options of `estimation_method`; None and Open3D's own methods stand for the defaults.
+    """The options of `estimation_method`; None and Open3D's own methods, said once on the log, stand for the defaults.
 
     Raises
     ------
@@ -112,6 +130,7 @@ def check_estimation_method(value: Any) -> TransformationEstimationForAdaptiveGM
         raise InputError(
             "estimation_method: with_scaling is on, but a rigid registration estimates no scale; turn it off"
         )
+    _say_what_stands_for(type(value).__name__, _robust_kernel(value))
     return TransformationEstimationForAdaptiveGMM()
 
 
@@ -123,21 +142,70 @@ def _is_open3ds(name: str, value: object) -> bool:
     return isinstance(value, tuple(getattr(kind, name) for kind in kinds))
 
 
-def check_criteria(value: Any) -> Criteria:
-    """When to stop, from Open3D's ICPConvergenceCriteria, legacy or tensor, or `Criteria`; None for the defaults.
+def surface_thickness(estimation_method: Any) -> float:
+    """The variance across the surface of covariances that a cloud lacks: `epsilon` of Open3D's method for GICP.
+
+    Raises
+    ------
+    InputError : an epsilon that is not in (0, 1].
+    """
+    if estimation_method is None or not is_installed():
+        return EPSILON
+    if not isinstance(estimation_method, o3d.pipelines.registration.TransformationEstimationForGeneralizedICP):
+        return EPSILON
+    epsilon = real_number("estimation_method.epsilon", estimation_method.epsilon, above=0.0)
+    if epsilon > 1.0:
+        raise InputError(f"estimation_method.epsilon: expected at most 1, got {epsilon:g}")
+    return epsilon
+
+
+def _robust_kernel(method: Any) -> str | None:
+    """The name of the robust kernel that one of Open3D's methods was given, unless it is the one that does nothing."""
+    kernel = getattr(method, "kernel", None)
+    if kernel is None:
+        return None
+    of_tensors = isinstance(kernel, o3d.t.pipelines.registration.robust_kernel.RobustKernel)
+    name: str = kernel.type.name if of_tensors else type(kernel).__name__
+    return None if name == "L2Loss" else name
+
+
+@cache
+def _say_what_stands_for(method: str, kernel: str | None) -> None:
+    """What becomes of one of Open3D's methods; a warning where something that its user chose has no counterpart."""
+    dropped = [UNUSED[method]] if method in UNUSED else []
+    if kernel is not None:
+        dropped.append(f"the robust kernel {kernel} is not needed, as points without a partner have no weight")
+    _log.log(
+        logging.WARNING if dropped else logging.INFO,
+        "estimation_method: %s stands for TransformationEstimationForAdaptiveGMM()%s",
+        method,
+        "".join(f"; {reason}" for reason in dropped),
+    )
+
+
+def check_criteria(value: Any, *, name: str = "criteria") -> Criteria:
+    """When to stop, from Open3D's ICPConvergenceCriteria, or `Criteria`; None and Open3D's defaults for ours.
+
+    `name` is what an error calls it. `relative_fitness` is not needed: the share of points with a partner settles with
+    the pose.
 
     Raises
     ------
     InputTypeError : something else.   InputError : a number of it out of range.
     """
+    ours = Criteria(DEFAULT_RELATIVE_RMSE, DEFAULT_MAX_ITERATION)
     if value is None:
-        return Criteria(DEFAULT_RELATIVE_RMSE, DEFAULT_MAX_ITERATION)
+        return ours
     if not isinstance(value, Criteria) and not _is_open3ds("ICPConvergenceCriteria", value):
-        raise InputTypeError(f"criteria: expected Open3D's ICPConvergenceCriteria, got {type(value).__name__}")
-    if value.max_iteration < 1:
-        raise InputError(f"criteria.max_iteration: expected at least 1, got {value.max_iteration}")
+        raise InputTypeError(f"{name}: expected Open3D's ICPConvergenceCriteria, got {type(value).__name__}")
+    if value.max_iteration < 0:
+        raise InputError(f"{name}.max_iteration: expected at least 0, got {value.max_iteration}")
     if not 0.0 <= value.relative_rmse < math.inf:
-        raise InputError(f"criteria.relative_rmse: expected a finite number >= 0, got {value.relative_rmse:g}")
+        raise InputError(f"{name}.relative_rmse: expected a finite number >= 0, got {value.relative_rmse:g}")
+    if isinstance(value, Criteria):
+        return value
+    if (value.relative_fitness, value.relative_rmse, value.max_iteration) == OPEN3D_DEFAULTS:
+        return ours
     return Criteria(float(value.relative_rmse), int(value.max_iteration))
 
 

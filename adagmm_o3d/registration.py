@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adagmm_o3d.arguments import Array, real_number
+from adagmm_o3d.arguments import Array, distance_limit, real_number
 from adagmm_o3d.array_registration import register_points
 from adagmm_o3d.errors import InputError, InputTypeError
 from adagmm_o3d.lazy_open3d import o3d
@@ -19,8 +19,9 @@ from adagmm_o3d.options import (
     check_callback,
     check_criteria,
     check_estimation_method,
+    surface_thickness,
 )
-from adagmm_o3d.uncertainty import estimate_surface_covariances
+from adagmm_o3d.uncertainty.surface import stand_in_covariances
 
 if TYPE_CHECKING:
     from adagmm_o3d.open3d_results import RegistrationResult, TensorRegistrationResult
@@ -39,6 +40,8 @@ def registration_adaptive_gmm(
     *,
     init_source_to_target: ArrayLike | o3d.core.Tensor | str | None = None,
     device: DeviceName = "auto",
+    source_viewpoint: ArrayLike | None = None,
+    target_viewpoint: ArrayLike | None = None,
 ) -> RegistrationResult: ...
 
 
@@ -55,6 +58,8 @@ def registration_adaptive_gmm(  # type: ignore[overload-cannot-match]  # Open3D'
     *,
     init_source_to_target: ArrayLike | o3d.core.Tensor | str | None = None,
     device: DeviceName = "auto",
+    source_viewpoint: ArrayLike | None = None,
+    target_viewpoint: ArrayLike | None = None,
 ) -> TensorRegistrationResult: ...
 
 
@@ -70,6 +75,8 @@ def registration_adaptive_gmm(
     *,
     init_source_to_target: ArrayLike | o3d.core.Tensor | str | None = None,
     device: DeviceName = "auto",
+    source_viewpoint: ArrayLike | None = None,
+    target_viewpoint: ArrayLike | None = None,
 ) -> RegistrationResult | TensorRegistrationResult:
     """Register `source` onto `target` as adaptive Gaussian mixtures; a drop-in for Open3D's ICP and GICP.
 
@@ -80,18 +87,26 @@ def registration_adaptive_gmm(
     ----------
     source, target : (M,) and (N,) point clouds of one kind, float32 or float64, at least three points each. Covariances
         come from `PointCloud.covariances` or `point.covariances`; only their relative size matters. A cloud without any
-        gets those of its surface, estimated from each point's nearest neighbours (`estimate_surface_covariances`).
-    max_correspondence_distance : [input units] > 0. The method chooses no correspondences; this is the distance within
-        which `fitness`, `inlier_rmse` and `correspondence_set` count them, as Open3D's `evaluate_registration` does.
+        gets those of its surface (`estimate_surface_covariances`): along its normals where it has any, as in Open3D's
+        GICP, or else from each point's nearest neighbours, for which it takes four points.
+    max_correspondence_distance : [input units] > 0, infinity for no limit. The method chooses no correspondences;
+        within this distance `fitness`, `inlier_rmse` and `correspondence_set` count them, as Open3D's
+        `evaluate_registration` does.
     init : (4, 4) rigid transformation source → target to start from; the identity (also when left out) lets the
         method choose between it and common centroids; "global" searches all rotations.
-    estimation_method : TransformationEstimationForAdaptiveGMM. Open3D's own methods are accepted, so that a script
-        needs no change, and stand for the default options; one that estimates a scale is refused.
-    criteria : Open3D's ICPConvergenceCriteria, legacy or tensor. `relative_rmse` and `relative_fitness` bound the
-        change of the weighted residual and of the pair weights in an iteration, `max_iteration` the EM iterations.
+    estimation_method : TransformationEstimationForAdaptiveGMM. Open3D's own methods and robust kernels are accepted, so
+        that a script needs no change, and stand for the default options, which the log says once; one that estimates a
+        scale is refused. The `epsilon` of that for GICP is the thickness of surfaces where legacy clouds have no
+        covariances.
+    criteria : Open3D's ICPConvergenceCriteria, legacy or tensor. `relative_rmse` bounds the change of the weighted
+        residual in the last iteration, `max_iteration` the iterations reported; with 0 of them `init` is evaluated, and
+        is the result. `relative_fitness` is not needed. Left out, or Open3D's own defaults: 1e-3 and 200.
     voxel_size : [input units] > 0 downsamples both clouds first, as `o3d.t.pipelines.registration.icp` does.
     device : "cpu", "cuda", or "auto": a GPU where there is one and enough to do. Tensor clouds on a CUDA device are
         registered there, whatever their size, unless "cpu" is asked for or `adagmm-o3d[cuda]` is not installed.
+    source_viewpoint, target_viewpoint : (3,) from where each cloud was seen, in its own frame and unit, e.g. zeros for
+        a cloud in its camera's frame; None where that is not known. What a sensor has seen through cannot be where the
+        other cloud's points come to lie, which decides where shape alone does not.
     callback_after_iteration : called after each EM iteration with `iteration_index`, `scale_index`,
         `scale_iteration_index`, `fitness`, `inlier_rmse`, `transformation`, `sigma` and `energy`; tensors for tensor
         clouds, Python numbers and an array for legacy ones. There `fitness` is the estimated overlap and `inlier_rmse`
@@ -118,26 +133,45 @@ def registration_adaptive_gmm(
     method = check_estimation_method(estimation_method)
     check_criteria(criteria)
     check_callback(callback_after_iteration)
-    distance = real_number("max_correspondence_distance", max_correspondence_distance, above=0.0)
+    thickness = surface_thickness(estimation_method)
+    if isinstance(max_correspondence_distance, (list, tuple, o3d.utility.DoubleVector)):
+        raise InputTypeError(
+            f"max_correspondence_distance: expected a real number, got {type(max_correspondence_distance).__name__}; "
+            "for several sizes see multi_scale_registration_adaptive_gmm()"
+        )
+    distance = distance_limit("max_correspondence_distance", max_correspondence_distance)
     voxel_size = real_number("voxel_size", voxel_size)
     if isinstance(source, o3d.t.geometry.PointCloud) and isinstance(target, o3d.t.geometry.PointCloud):
         from adagmm_o3d.tensor_registration import register_tensor_clouds
 
         return register_tensor_clouds(
-            source, target, distance, start, method, criteria, voxel_size, device, callback_after_iteration
+            source,
+            target,
+            distance,
+            start,
+            method,
+            criteria,
+            voxel_size,
+            device,
+            callback_after_iteration,
+            (source_viewpoint, target_viewpoint),
         )
     _check_legacy(source, target)
     if voxel_size > 0:
-        source, target = (_thinned(name, cloud, voxel_size) for name, cloud in (("source", source), ("target", target)))
+        source, target = (
+            _thinned(name, cloud, voxel_size, thickness) for name, cloud in (("source", source), ("target", target))
+        )
     details = register_points(
         np.asarray(source.points),
         np.asarray(target.points),
-        legacy_covariances("source", source),
-        legacy_covariances("target", target),
+        legacy_covariances("source", source, thickness),
+        legacy_covariances("target", target, thickness),
         init=start,
         estimation_method=method,
         criteria=criteria,
         device=device,
+        source_viewpoint=source_viewpoint,
+        target_viewpoint=target_viewpoint,
         callback_after_iteration=callback_after_iteration,
     )
     evaluated = o3d.pipelines.registration.evaluate_registration(source, target, distance, details.transformation)
@@ -171,22 +205,31 @@ def _check_legacy(source: Any, target: Any) -> None:
         )
 
 
-def _thinned(name: str, cloud: o3d.geometry.PointCloud, voxel_size: float) -> o3d.geometry.PointCloud:
+def _thinned(name: str, cloud: o3d.geometry.PointCloud, voxel_size: float, thickness: float) -> o3d.geometry.PointCloud:
+    """Voxel averages. Normals become covariances first: the mean of two that point to opposite sides means nothing."""
     from adagmm_o3d.tensor_registration import check_voxel_size
 
     if len(cloud.points):
         check_voxel_size(name, cloud.get_min_bound(), cloud.get_max_bound(), voxel_size)
+    if cloud.has_normals() and not cloud.has_covariances():
+        covariances = legacy_covariances(name, cloud, thickness)
+        cloud = o3d.geometry.PointCloud(cloud)
+        if covariances is not None:
+            cloud.covariances = o3d.utility.Matrix3dVector(covariances)
     return cloud.voxel_down_sample(voxel_size)
 
 
-def legacy_covariances(name: str, cloud: o3d.geometry.PointCloud) -> Array | None:
-    """(n, 3, 3) covariances of a legacy cloud, estimated from the surface where it has none."""
-    if len(cloud.covariances) == 0:
-        points = np.asarray(cloud.points)
-        return estimate_surface_covariances(points) if len(points) >= 3 and np.isfinite(points).all() else None
-    covariances = np.asarray(cloud.covariances)
-    if len(covariances) != len(cloud.points):
-        raise InputError(
-            f"{name}.covariances: expected one for each of the {len(cloud.points)} points, got {len(covariances)}"
-        )
-    return covariances
+def legacy_covariances(name: str, cloud: o3d.geometry.PointCloud, thickness: float) -> Array | None:
+    """(n, 3, 3) covariances of a legacy cloud; those of its surface, with that variance across it, where it has none.
+
+    None for what is no cloud.
+    """
+    for what, values in (("covariances", cloud.covariances), ("normals", cloud.normals)):
+        if len(values) not in (0, len(cloud.points)):
+            raise InputError(
+                f"{name}.{what}: expected one for each of the {len(cloud.points)} points, got {len(values)}"
+            )
+    if len(cloud.covariances):
+        return np.asarray(cloud.covariances)
+    normals = np.asarray(cloud.normals) if len(cloud.normals) else None
+    return stand_in_covariances(np.asarray(cloud.points), normals, epsilon=thickness)

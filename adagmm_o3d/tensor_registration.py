@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import replace
 from typing import Any, TypeAlias
 
@@ -11,9 +12,10 @@ import open3d as o3d
 from numpy.typing import ArrayLike
 
 from adagmm_o3d.arguments import Array
-from adagmm_o3d.array_registration import register_points
+from adagmm_o3d.array_registration import checked_viewpoints, register_points
 from adagmm_o3d.errors import InputError, InputTypeError
 from adagmm_o3d.kernels.cuda.availability import obstacle
+from adagmm_o3d.kernels.limits import EPSILON
 from adagmm_o3d.open3d_results import TensorRegistrationResult
 from adagmm_o3d.options import (
     Callback,
@@ -24,7 +26,7 @@ from adagmm_o3d.options import (
 )
 from adagmm_o3d.pairs.device import check_device
 from adagmm_o3d.result import Answer, Deferred, PointRegistrationResult
-from adagmm_o3d.uncertainty import estimate_surface_covariances
+from adagmm_o3d.uncertainty.surface import stand_in_covariances
 
 TensorCloud: TypeAlias = o3d.t.geometry.PointCloud
 
@@ -44,6 +46,7 @@ def register_tensor_clouds(
     voxel_size: float,
     device: DeviceName,
     callback_after_iteration: Callback | None,
+    viewpoints: tuple[ArrayLike | None, ArrayLike | None],
 ) -> TensorRegistrationResult:
     """See `registration_adaptive_gmm`; arguments are checked there."""
     if source.device != target.device:
@@ -60,11 +63,11 @@ def register_tensor_clouds(
     if voxel_size > 0:
         source, target = _thinned("source", source, voxel_size), _thinned("target", target, voxel_size)
     register = _register_in_place if _stays_in_place(source, device) else _register_on_host
-    details = register(source, target, init, method, criteria, device, _as_tensors(callback_after_iteration))
-    transformation = o3d.core.Tensor(details.transformation)
-    evaluated = o3d.t.pipelines.registration.evaluate_registration(
-        source, target, max_correspondence_distance, transformation
+    details = register(
+        source, target, init, method, criteria, device, viewpoints, _as_tensors(callback_after_iteration)
     )
+    transformation = o3d.core.Tensor(details.transformation)
+    evaluated = _evaluated(source, target, max_correspondence_distance, transformation)
     result = TensorRegistrationResult()
     result.transformation = transformation
     result.fitness = evaluated.fitness
@@ -73,6 +76,22 @@ def register_tensor_clouds(
     result.converged = details.converged
     result.num_iterations = details.iterations
     result.details = details
+    return result
+
+
+def _evaluated(
+    source: TensorCloud, target: TensorCloud, distance: float, transformation: o3d.core.Tensor
+) -> o3d.t.pipelines.registration.RegistrationResult:
+    """Open3D's `evaluate_registration`, which without a limit would look at every pair of points."""
+    if distance < math.inf:
+        return o3d.t.pipelines.registration.evaluate_registration(source, target, distance, transformation)
+    moved = source.clone().transform(transformation).point.positions
+    index = o3d.core.nns.NearestNeighborSearch(target.point.positions)
+    index.knn_index()
+    nearest, squares = index.knn_search(moved, 1)
+    result = o3d.t.pipelines.registration.RegistrationResult()
+    result.fitness, result.inlier_rmse = 1.0, math.sqrt(squares.to(o3d.core.float64).mean().item())
+    result.correspondence_set = nearest.to(o3d.core.int64)
     return result
 
 
@@ -99,6 +118,7 @@ def _register_in_place(
     method: TransformationEstimationForAdaptiveGMM,
     criteria: CriteriaArgument,
     device: DeviceName,
+    viewpoints: tuple[ArrayLike | None, ArrayLike | None],
     callback: Callback | None,
 ) -> PointRegistrationResult:
     """On the device that the clouds are on, without their points leaving it."""
@@ -106,7 +126,7 @@ def _register_in_place(
     from adagmm_o3d.mixtures.device_mixture import device_mixture
     from adagmm_o3d.search.register import register_mixtures
 
-    limits = check_criteria(criteria)
+    limits, seen_from = check_criteria(criteria), checked_viewpoints(*viewpoints, dimension=3)
     here = current_device(source.point.positions)
     with here:
         mixtures = []
@@ -119,7 +139,7 @@ def _register_in_place(
                     None if covariances is None else on_the_device(covariances),
                 )
             )
-        details = register_mixtures(mixtures[0], mixtures[1], init, method, limits, device, callback)
+        details = register_mixtures(mixtures[0], mixtures[1], init, method, limits, device, callback, seen_from)
 
     def answered_here(ask: Deferred[Answer]) -> Deferred[Answer]:
         def answer() -> Answer:
@@ -128,19 +148,43 @@ def _register_in_place(
 
         return Deferred(answer)
 
-    return replace(details, find_partners=answered_here(details.find_partners), assess=answered_here(details.assess))
+    return replace(
+        details,
+        find_partners=answered_here(details.find_partners),
+        assess=answered_here(details.assess),
+        weigh=answered_here(details.weigh),
+    )
 
 
 def _covariances_in_place(name: str, cloud: TensorCloud) -> o3d.core.Tensor | None:
-    """Covariances as Float32 or Float64, where the cloud has any."""
-    if "covariances" not in cloud.point:
+    """Covariances as Float32 or Float64, where the cloud has any or has normals."""
+    covariances = _known_covariances(name, cloud)
+    if covariances is None:
         return None
-    covariances = cloud.point.covariances
     if covariances.dtype == o3d.core.bool:
         raise InputTypeError(f"{name}.covariances: expected an array of real numbers, got dtype bool")
     if covariances.dtype not in (o3d.core.float32, o3d.core.float64):
         covariances = covariances.to(o3d.core.float64)
     return covariances
+
+
+def _known_covariances(name: str, cloud: TensorCloud) -> o3d.core.Tensor | None:
+    """The cloud's own, or those along its normals; None where it has neither."""
+    if "covariances" in cloud.point:
+        return cloud.point.covariances
+    if "normals" not in cloud.point:
+        return None
+    _check_shape(name, "normals", cloud, (3,))
+    normals = cloud.point.normals.to(o3d.core.float64)
+    lengths = (normals * normals).sum(dim=1, keepdim=True).sqrt()
+    if lies_on_gpu(cloud) and bool((lengths > 0.0).logical_and(lengths.isfinite()).all()):
+        normals = normals / lengths
+        across = o3d.core.Tensor(1.0 - EPSILON, o3d.core.float64, normals.device)
+        products = normals.reshape((-1, 3, 1)) * normals.reshape((-1, 1, 3))
+        return o3d.core.Tensor.eye(3, o3d.core.float64, normals.device) - across * products
+    # What neighbours have to say of points without a normal, the host finds out.
+    covariances = stand_in_covariances(_positions(cloud), normals.cpu().numpy())
+    return None if covariances is None else o3d.core.Tensor(covariances, device=cloud.device)
 
 
 def _register_on_host(
@@ -150,6 +194,7 @@ def _register_on_host(
     method: TransformationEstimationForAdaptiveGMM,
     criteria: CriteriaArgument,
     device: DeviceName,
+    viewpoints: tuple[ArrayLike | None, ArrayLike | None],
     callback: Callback | None,
 ) -> PointRegistrationResult:
     return register_points(
@@ -161,6 +206,8 @@ def _register_on_host(
         estimation_method=method,
         criteria=criteria,
         device=device,
+        source_viewpoint=viewpoints[0],
+        target_viewpoint=viewpoints[1],
         callback_after_iteration=callback,
     )
 
@@ -186,16 +233,18 @@ def check_voxel_size(name: str, low: Array, high: Array, voxel_size: float) -> N
 
 
 def _thinned(name: str, cloud: TensorCloud, voxel_size: float) -> TensorCloud:
-    """Voxel averages of the positions and of the covariances; Open3D averages attributes of one row a point only."""
+    """Voxel averages of the positions and of the covariances; Open3D averages attributes of one row a point only.
+
+    Normals become covariances first: the mean of two that point to opposite sides means nothing.
+    """
     if len(cloud.point.positions):
         low, high = (corner.cpu().numpy() for corner in (cloud.get_min_bound(), cloud.get_max_bound()))
         check_voxel_size(name, low, high, voxel_size)
     flat = TensorCloud(cloud.point.positions)
-    if "covariances" in cloud.point:
-        wanted, got = (len(cloud.point.positions), 3, 3), tuple(cloud.point.covariances.shape)
-        if got != wanted:
-            raise InputError(f"{name}.covariances: expected shape {wanted}, got {got}")
-        flat.point.covariances = cloud.point.covariances.reshape((-1, 9))
+    if (covariances := _known_covariances(name, cloud)) is not None:
+        if "covariances" in cloud.point:
+            _check_shape(name, "covariances", cloud, (3, 3))
+        flat.point.covariances = covariances.reshape((-1, 9))
     thinned = flat.voxel_down_sample(voxel_size)
     if "covariances" in thinned.point:
         thinned.point.covariances = thinned.point.covariances.reshape((-1, 3, 3))
@@ -203,10 +252,19 @@ def _thinned(name: str, cloud: TensorCloud, voxel_size: float) -> TensorCloud:
 
 
 def _covariances(name: str, cloud: TensorCloud) -> Array | None:
-    if "covariances" in cloud.point:
-        return cloud.point.covariances.cpu().numpy()
-    points = cloud.point.positions.cpu().numpy().astype(np.float64)
-    return estimate_surface_covariances(points) if len(points) >= 3 and np.isfinite(points).all() else None
+    known = _known_covariances(name, cloud)
+    return stand_in_covariances(_positions(cloud)) if known is None else known.cpu().numpy()
+
+
+def _positions(cloud: TensorCloud) -> Array:
+    """(n, 3) float64 on the host."""
+    return np.asarray(cloud.point.positions.cpu().numpy(), np.float64)
+
+
+def _check_shape(name: str, what: str, cloud: TensorCloud, row: tuple[int, ...]) -> None:
+    wanted, got = (len(cloud.point.positions), *row), tuple(cloud.point[what].shape)
+    if got != wanted:
+        raise InputError(f"{name}.{what}: expected shape {wanted}, got {got}")
 
 
 def _as_tensors(callback: Callback | None) -> Callback | None:

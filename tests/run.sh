@@ -1,16 +1,27 @@
 #!/usr/bin/env bash
-# Sets up everything the tests need and runs them all; see README.md, "Tests".
-#   bash tests/run.sh [pytest arguments]
+# Runs the tests; see CONTRIBUTING.md.
+#   bash tests/run.sh [pytest arguments]          sets up everything they need in .venv, then runs them all
+#   bash tests/run.sh quick [pytest arguments]    a few minutes: with what is set up already, all that are not marked slow
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-# shellcheck source=apps/system_packages.sh
-source apps/system_packages.sh
-install_system_packages "$LIBRARIES $VIEWER_LIBRARIES"
-install_project dev
+chosen=()
+if [ "${1-}" = quick ]; then
+    shift
+    chosen=(-m "not slow")
+    if [ ! -x .venv/bin/python ]; then
+        echo "tests/run.sh quick: expected .venv, which is not there; run bash tests/run.sh once" >&2
+        exit 1
+    fi
+else
+    # shellcheck source=apps/system_packages.sh
+    source apps/system_packages.sh
+    install_system_packages "$LIBRARIES $VIEWER_LIBRARIES"
+    install_project dev
+fi
 
 export OMP_WAIT_POLICY=passive
 .venv/bin/ruff check .
 .venv/bin/ruff format --check .
 .venv/bin/mypy
-.venv/bin/python -m pytest "$@"
+.venv/bin/python -m pytest "${chosen[@]}" "$@"

@@ -9,23 +9,17 @@ import numpy as np
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.sigma_rules import Scale, SigmaRule
+from adagmm_o3d.em.unmatched import uniform_density
 from adagmm_o3d.kernels.cpu.acceleration import LOG_SIGMA, UNMATCHED_SHARE, accelerate, empty_memory, forget
 from adagmm_o3d.lie import se_exp
 from adagmm_o3d.pairs.protocol import Pairs, PairSums, PosteriorSums
 
-# Points without a partner are spread evenly over a volume, in units of the radius to the power of the dimension: the
-# whole world of a cloud, where they may be anywhere; or little more than the clouds themselves where they are surfaces
-# that only one of the clouds has seen, next to those that both have. The smaller it is, the sooner a point that has no
-# partner nearby is let go.
-OPEN_VOLUME = {2: 12.0, 3: 30.0}
-CLOSE_VOLUME = {2: 1.0, 3: 1.0}
-# The share of such points is estimated within these bounds: never none, never nearly all.
+# The share of points without a partner is estimated within these bounds: never none, never nearly all.
 LEAST_UNMATCHED, MOST_UNMATCHED = 0.05, 0.7
-# No part of a cloud that decides between ends resolves its shape better than this: a standard deviation of 1.6 % of the
-# radius. On all points of clouds of some thousand σ follows the residuals down to 1 %, a fraction of their spacing;
-# below, chance coincidences of the samples decide (on recordings of five sensors poses got worse). Dense clouds tell
-# more: there it may follow to where float32 coordinates still have three digits.
-SIGMA_FLOOR, SAMPLED_SIGMA, FINEST_SIGMA = 2.5e-4, 1e-4, 1e-6
+# On all points of clouds of some thousand σ follows the residuals down to 1 % of the radius, a fraction of their
+# spacing; below, chance coincidences of the samples decide (on recordings of five sensors poses got worse). Dense
+# clouds tell more: there it may follow to where float32 coordinates still have three digits.
+SAMPLED_SIGMA, FINEST_SIGMA = 1e-4, 1e-6
 # How fast σ may fall on all points: to this share of itself in an iteration.
 FASTEST = 0.8
 # σ counts as settled when it changes by less than this share.
@@ -89,12 +83,11 @@ class PosteriorExpectation:
         *,
         unmatched: float,
         mutuality: float,
-        volume: float,
         fastest: float = FASTEST,
         floor: float = FINEST_SIGMA,
     ) -> None:
         self._pairs, self._dimension = pairs, dimension
-        self._fastest, self._floor, self._mutuality, self._volume = fastest, floor, mutuality, volume
+        self._fastest, self._floor, self._mutuality = fastest, floor, mutuality
         self.scale = Scale(sigma, sigma)
         self.unmatched = unmatched
         self._memory = empty_memory()
@@ -126,9 +119,4 @@ class PosteriorExpectation:
         return sums.overlap
 
     def _uniform(self) -> float:
-        return uniform_density(self.unmatched, self._dimension, self._volume)
-
-
-def uniform_density(unmatched: float, dimension: int, volume: float) -> float:
-    """Density of the points without a partner relative to that of a mixture, without the constant (2π)^(-D/2)."""
-    return (2.0 * math.pi) ** (0.5 * dimension) / volume * unmatched / (1.0 - unmatched)
+        return uniform_density(self.unmatched, self.scale.target, self._dimension)

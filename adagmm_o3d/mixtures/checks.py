@@ -52,11 +52,22 @@ def refuse_asymmetric(name: str, bad: NDArray[np.integer]) -> NoReturn:
 
 
 def refuse_indefinite(name: str, bad: NDArray[np.integer]) -> NoReturn:
-    """Raise for covariances that are not positive definite."""
+    """Raise for covariances that have a negative variance in some direction."""
     raise InputError(
-        f"{name}.covariances: not positive definite at index {bad[0]} ({len(bad)} in all); "
-        "add a small multiple of the identity"
+        f"{name}.covariances: not positive semidefinite at index {bad[0]} ({len(bad)} in all); "
+        "no covariance has a negative eigenvalue"
     )
+
+
+def typical_variance(name: str, largest: Array) -> float:
+    """The median of the variances above zero, for points whose own are all zero.
+
+    `largest` (n,) are the largest variances of all points. Raises if there is none above zero.
+    """
+    positive = largest[largest > 0.0]
+    if len(positive) == 0:
+        raise InputError(f"{name}.covariances: all {len(largest)} are zero; leave them out if nothing is known")
+    return float(np.median(positive))
 
 
 def check_count(name: str, count: int) -> None:

@@ -1,6 +1,6 @@
 """Dense clouds with fewer points: what lies closer together than any σ can tell apart is one component.
 
-Until σ has come down to `expectation.SIGMA_FLOOR` a Gaussian is as wide as 1.6 % of the radius at least, however many
+Until σ has come down to SIGMA_FLOOR a Gaussian is as wide as 1.6 % of the radius at least, however many
 points there are. Points within a cell much smaller than that, and about as certain, are merged into one of their
 weight. The number of components is then that of the cells the surface runs through, and a cloud of a million points
 costs little more than one of fifty thousand.
@@ -13,10 +13,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from adagmm_o3d.em.expectation import SIGMA_FLOOR
 from adagmm_o3d.mixtures.grouping import Groups
 from adagmm_o3d.mixtures.mixture import Mixture
 
+# No part of a cloud that decides between ends resolves its shape better than this σ: a standard deviation of 1.6 % of
+# the radius.
+SIGMA_FLOOR = 2.5e-4
 # Smaller clouds have hardly two points in a cell.
 CONDENSED_FROM = 20_000
 # Nor is it worth it where more than this share of the points would be left.

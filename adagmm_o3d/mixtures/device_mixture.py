@@ -17,7 +17,7 @@ from adagmm_o3d.arguments import Array, float_array
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.kernels.cuda.clouds import inspecting, packing, summing
 from adagmm_o3d.kernels.cuda.clouds import surface as surface_kernels
-from adagmm_o3d.kernels.cuda.clouds.inspecting import COVARIANCE, POINT_ROWS, VARIANCE
+from adagmm_o3d.kernels.cuda.clouds.inspecting import COVARIANCE, LARGEST, POINT_ROWS, VARIANCE
 from adagmm_o3d.kernels.cuda.front_end import TILE, cuda
 from adagmm_o3d.kernels.cuda.held import upload
 from adagmm_o3d.mixtures.checks import (
@@ -33,6 +33,7 @@ from adagmm_o3d.mixtures.checks import (
     refuse_indefinite,
     refuse_points,
     spread_of,
+    typical_variance,
 )
 from adagmm_o3d.mixtures.mixture import Mixture, make_mixture
 from adagmm_o3d.mixtures.normalisation import VARIANCE_RANGE
@@ -70,12 +71,19 @@ class DeviceMixture(Mixture):
     _relative: Array
 
     def __init__(
-        self, table: Any, isotropic: bool, kept: NDArray[np.bool_], raw: Array, relative: Array, frame: Frame
+        self,
+        table: Any,
+        isotropic: bool,
+        kept: NDArray[np.bool_],
+        regularised: int,
+        raw: Array,
+        relative: Array,
+        frame: Frame,
     ) -> None:
         self.__dict__.update(
             weights=np.ones(len(raw)), dimension=3, isotropic=isotropic, kept=kept, table=table, frame=frame
         )
-        self.__dict__.update(_raw=raw, _relative=relative)
+        self.__dict__.update(regularised=regularised, _raw=raw, _relative=relative)
 
     @property
     def on_device(self) -> bool:
@@ -111,6 +119,7 @@ class DeviceMixture(Mixture):
             self.dimension,
             self.isotropic,
             self.kept,
+            self.regularised,
         )
 
     def points_at(self, index: NDArray[np.integer]) -> Array:
@@ -132,7 +141,7 @@ class DeviceMixture(Mixture):
     def normalised(self, centre: Array, scale: float, unit: float, relative: Array) -> DeviceMixture:
         x, y, z = (float(c) for c in centre)
         frame = Frame((x, y, z), float(scale), float(unit), *VARIANCE_RANGE)
-        normalised = DeviceMixture(self.table, self.isotropic, self.kept, self._raw, relative, frame)
+        normalised = DeviceMixture(self.table, self.isotropic, self.kept, self.regularised, self._raw, relative, frame)
         normalised.__dict__["bounds"] = (self.bounds - centre) / scale
         return normalised
 
@@ -179,7 +188,7 @@ def device_mixture(name: str, positions: Any, covariances: Any | None, *, surfac
     inspect = inspecting.inspect_bare if covariances is None else inspecting.inspect_given
     inspect[_blocks(n), TILE](positions, positions if covariances is None else covariances, table, status)
     findings = status.copy_to_host()
-    fault = findings & (inspecting.ANISOTROPIC - 1)
+    fault, flags = findings & inspecting.FAULTS, findings & ~np.uint8(inspecting.FAULTS)
     if (fault == inspecting.POINT_NOT_FINITE).any():
         refuse_points(name, np.flatnonzero(fault == inspecting.POINT_NOT_FINITE), n)
     usable = fault != inspecting.COVARIANCE_NOT_FINITE
@@ -188,17 +197,22 @@ def device_mixture(name: str, positions: Any, covariances: Any | None, *, surfac
         refuse_asymmetric(name, np.flatnonzero(fault == inspecting.CROOKED))
     if (fault == inspecting.NOT_POSITIVE).any():
         refuse_indefinite(name, np.flatnonzero(fault == inspecting.NOT_POSITIVE))
-    check_count(name, int(usable.sum()))
     if not usable.all():
-        table = _gathered(table, np.flatnonzero(usable), POINT_ROWS)
+        table, flags = _gathered(table, np.flatnonzero(usable), POINT_ROWS), flags[usable]
+    empty = (flags & inspecting.EMPTY).any()
+    if empty:
+        variance = typical_variance(name, table[LARGEST].copy_to_host())
+        inspecting.fill_empty[_blocks(table.shape[1]), TILE](table, variance)
+    check_count(name, int(usable.sum()))
     bounds = bounds_of(table)
     check_largest(name, float(np.abs(bounds).max()))
-    isotropic = not (findings & inspecting.ANISOTROPIC).any()
+    isotropic = not (flags & inspecting.ANISOTROPIC).any()
+    regularised = int(((flags & (inspecting.SINGULAR | inspecting.EMPTY)) != 0).sum())
     if covariances is None and surface:
         _estimate_surface(table, bounds)
         isotropic = False
     variances = table[VARIANCE].copy_to_host()
-    mixture = DeviceMixture(table, isotropic, usable, variances, variances, AS_GIVEN)
+    mixture = DeviceMixture(table, isotropic, usable, regularised, variances, variances, AS_GIVEN)
     mixture.__dict__["bounds"] = bounds
     _check_spread(name, mixture)
     return mixture

@@ -45,6 +45,19 @@ class MergedMixture:
     dimension: int
     isotropic: bool = False
 
+    def take(self, index: slice) -> MergedMixture:
+        """The mixture of some of the components."""
+        weights = self.weights[index]
+        return MergedMixture(
+            self.points[index],
+            self.covariances[index],
+            self.spreads[index],
+            weights / weights.sum(),
+            self.largest_variances[index],
+            self.dimension,
+            self.isotropic,
+        )
+
     def as_source(self, isotropic: bool) -> tuple[Any, ...]:
         """The components as `kernels.cpu.em` wants a source; `isotropic` says whether those of both sides are."""
         points, matrices, spreads, *rest = self._source

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adagmm_o3d.arguments import Array, float_array
 from adagmm_o3d.errors import InputError
-from adagmm_o3d.kernels.limits import LEAST_POSITIVE, SKEW, THINNEST
+from adagmm_o3d.kernels.limits import EPSILON, ROUNDING, THINNEST
 from adagmm_o3d.mixtures.checks import (
     check_count,
     check_not_empty,
@@ -22,6 +22,7 @@ from adagmm_o3d.mixtures.checks import (
     refuse_asymmetric,
     refuse_indefinite,
     refuse_points,
+    typical_variance,
 )
 
 # Where xx, xy, xz, yy, yz and zz stand in a matrix read row by row.
@@ -35,6 +36,7 @@ class Mixture:
     points : (n, 3).   covariances : (n, 3, 3), positive definite (in 2D the block xx, xy, yy; zz is 1).
     weights : (n,) > 0.   dimension : 2 or 3.   isotropic : every covariance is a multiple of the identity.
     kept : (size of the input,) bool, False where a point had a non-finite covariance and is not in the mixture.
+    regularised : how many of the input's covariances were singular.
     """
 
     points: Array
@@ -43,6 +45,7 @@ class Mixture:
     dimension: int
     isotropic: bool
     kept: NDArray[np.bool_]
+    regularised: int = 0
 
     @property
     def on_device(self) -> bool:
@@ -61,6 +64,7 @@ class Mixture:
             self.dimension,
             self.isotropic,
             self.kept,
+            self.regularised,
         )
         known = {
             name: self.__dict__[name][index] for name in ("variances", "largest_variances") if name in self.__dict__
@@ -120,7 +124,9 @@ class Mixture:
         if self.dimension == 2:
             covariances[:, 2, 2] = 1.0
         points = (self.points - centre) / scale
-        mixture = Mixture(points, covariances, self.weights, self.dimension, self.isotropic, self.kept)
+        mixture = Mixture(
+            points, covariances, self.weights, self.dimension, self.isotropic, self.kept, self.regularised
+        )
         return mixture.knowing(variances=relative, largest_variances=self.largest_variances / unit * factor)
 
 
@@ -140,13 +146,16 @@ def make_mixture(
     Parameters
     ----------
     name : "source" or "target"; begins every error message.
-    points : (n, D), D = 2 or 3, any real dtype.   covariances : (n, D, D), or None for the identity at every point; one
-    with a variance below THINNEST times its largest is thickened to that.   weights : (n,) positive, or None for ones.
+    points : (n, D), D = 2 or 3, any real dtype.   covariances : (n, D, D), or None for the identity at every point. One
+    with a variance below THINNEST times its largest is singular: all of its variances become at least EPSILON times
+    the largest, and one that is zero becomes isotropic and as large as most are.   weights : (n,) positive, or None for
+    ones.
 
     Raises
     ------
-    InputTypeError : not real numbers.   InputError : shape, non-finite points, covariances that are not symmetric
-    positive definite, or non-finite at more than 1 % of the points (fewer are dropped and counted).
+    InputTypeError : not real numbers.   InputError : shape, non-finite points, covariances that are not symmetric, have
+    a negative eigenvalue beyond rounding, are all zero, or are non-finite at more than 1 % of the points (fewer are
+    dropped and counted).
     DegenerateError : fewer than 3 points, or all on one line (3D) or in one place (2D).
     """
     p = float_array(f"{name}.points", points, ("n", (2, 3)), finite=False)
@@ -161,12 +170,12 @@ def make_mixture(
         usable = np.asarray(finite.all(axis=(1, 2)))
         check_usable(name, usable)
         p, c, w = p[usable], c[usable], w[usable]
-    c, eigenvalues = _check_positive_definite(name, c, usable)
+    c, eigenvalues, regularised = _make_definite(name, c, usable)
     check_count(name, len(p))
     check_spread(name, p)
     if dimension == 2:
         p, c = _lift(p, c)
-    mixture = Mixture(p, c, w, dimension, eigenvalues is None, usable)
+    mixture = Mixture(p, c, w, dimension, eigenvalues is None, usable, regularised)
     if eigenvalues is not None:
         variances = (eigenvalues ** (1.0 / dimension)).prod(axis=1)
         mixture.knowing(variances=variances, largest_variances=eigenvalues[:, -1].copy())
@@ -189,27 +198,36 @@ def _check_weights(name: str, weights: ArrayLike | None, n: int) -> Array:
     return w
 
 
-def _check_positive_definite(name: str, c: Array, usable: NDArray[np.bool_]) -> tuple[Array, Array | None]:
-    """Raise unless every covariance is symmetric positive definite; thin ones come back thickened.
+def _make_definite(name: str, c: Array, usable: NDArray[np.bool_]) -> tuple[Array, Array | None, int]:
+    """Raise unless every covariance is symmetric and positive semidefinite; singular ones are made definite.
 
-    The covariances and their (n, D) eigenvalues, ascending, or None where all are isotropic.
+    The covariances; their (n, D) eigenvalues, ascending, or None where all are isotropic; how many were singular.
     """
+    eigenvalues = None
     if (c == c[:, :1, :1] * np.eye(c.shape[1])).all():
-        _refuse(refuse_indefinite, name, c[:, 0, 0] <= 0.0, usable)
-        return c, None
-    mirrored = c.transpose(0, 2, 1)
-    if not (c == mirrored).all():
-        skew = np.abs(c - mirrored).max(axis=(1, 2))
-        _refuse(refuse_asymmetric, name, skew > SKEW * np.abs(c).max(axis=(1, 2)), usable)
-        c = 0.5 * c + 0.5 * mirrored
-    eigenvalues = _principal_variances(c)
-    least, largest = eigenvalues[:, 0], eigenvalues[:, -1]
-    thin = least <= THINNEST * largest
-    if thin.any():
-        _refuse(refuse_indefinite, name, least <= LEAST_POSITIVE * largest, usable)
-        c = c.copy()
-        c[thin], eigenvalues[thin] = _thickened(c[thin])
-    return c, eigenvalues
+        least = largest = c[:, 0, 0]
+    else:
+        mirrored = c.transpose(0, 2, 1)
+        if not (c == mirrored).all():
+            skew = np.abs(c - mirrored).max(axis=(1, 2))
+            _refuse(refuse_asymmetric, name, skew > ROUNDING * np.abs(c).max(axis=(1, 2)), usable)
+            c = 0.5 * c + 0.5 * mirrored
+        eigenvalues = _principal_variances(c)
+        least, largest = eigenvalues[:, 0], eigenvalues[:, -1]
+    _refuse(refuse_indefinite, name, least < -ROUNDING * np.maximum(largest, -least), usable)
+    empty = largest <= 0.0
+    flat = (least < THINNEST * largest) & ~empty
+    if not (empty.any() or flat.any()):
+        return c, eigenvalues, 0
+    c = c.copy()
+    if empty.any():
+        variance = typical_variance(name, largest)
+        c[empty] = variance * np.eye(c.shape[1])
+        if eigenvalues is not None:
+            eigenvalues[empty] = variance
+    if eigenvalues is not None:
+        c[flat], eigenvalues[flat] = _thickened(c[flat])
+    return c, eigenvalues, int(empty.sum() + flat.sum())
 
 
 def _refuse(refuse: Callable[..., NoReturn], name: str, bad: NDArray[np.bool_], usable: NDArray[np.bool_]) -> None:
@@ -230,9 +248,9 @@ def _principal_variances(c: Array) -> Array:
 
 
 def _thickened(c: Array) -> tuple[Array, Array]:
-    """Covariances with no principal variance below THINNEST times the largest, and their eigenvalues."""
+    """Covariances with no principal variance below EPSILON times the largest, as in Generalized ICP, and these."""
     variances, axes = np.linalg.eigh(c)
-    variances = np.maximum(variances, THINNEST * variances[:, -1:])
+    variances = np.maximum(variances, EPSILON * variances[:, -1:])
     return (axes * variances[:, None, :]) @ axes.transpose(0, 2, 1), variances
 
 

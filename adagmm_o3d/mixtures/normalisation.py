@@ -54,6 +54,13 @@ class Normalisation:
         pose[:3, 3] = offset / self.scale
         return pose
 
+    def points_in(self, source: Array | None, target: Array | None) -> tuple[Array | None, Array | None]:
+        """Points (3,) in the frames of the input clouds → the same in those of the normalised ones."""
+        return (
+            None if source is None else (source - self.source_centre) / self.scale,
+            None if target is None else (target - self.target_centre) / self.scale,
+        )
+
     def pose_out(self, pose: Array) -> Array:
         """(4, 4) or (k, 4, 4) poses between normalised clouds → the same between the input clouds."""
         out = pose.copy()

@@ -1,4 +1,4 @@
-"""What stands for many values: a part of them, the same one every time, and quantiles that are points of the sample."""
+"""A few values in place of many: a random part, the same one every time, and quantiles that are values themselves."""
 
 from __future__ import annotations
 
@@ -16,6 +16,6 @@ def some_of(index: NDArray[np.intp], count: int) -> NDArray[np.intp]:
 
 
 def quantile(values: Array, share: float) -> Array:
-    """The least of (n, …) `values` along the first axis that is no smaller than `share` of them; 0.5 is a median."""
+    """The value at place share·(n - 1), rounded down, of (n, …) `values` sorted on axis 0; a share of 0.5: a median."""
     k = int(share * (len(values) - 1))
     return np.partition(values, k, axis=0)[k]

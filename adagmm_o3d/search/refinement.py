@@ -1,6 +1,6 @@
 """The last level: the end of the search carried to convergence on all points.
 
-Clouds of up to `levels.SMALL` points run in one compiled loop. Dense clouds run condensed first, and on all of their
+Clouds of up to `Schedule.small` points run in one compiled loop. Dense clouds run condensed first, and on all of their
 points only where σ has come down to what the condensed ones can tell apart, by way of ever larger parts of them.
 """
 
@@ -16,11 +16,11 @@ from adagmm_o3d.em.expectation import (
     FINEST_SIGMA,
     LEAST_UNMATCHED,
     SAMPLED_SIGMA,
-    SIGMA_FLOOR,
     PosteriorExpectation,
 )
 from adagmm_o3d.em.loop import Outcome, expectation_maximisation
-from adagmm_o3d.mixtures.condensing import condense
+from adagmm_o3d.em.runs import End, Limits, Start, run_starts
+from adagmm_o3d.mixtures.condensing import SIGMA_FLOOR, condense
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.sampling import some_of
 from adagmm_o3d.options import Criteria
@@ -28,8 +28,7 @@ from adagmm_o3d.pairs.cpu_pairs import CUT_BITS
 from adagmm_o3d.pairs.device import make_pair_loop
 from adagmm_o3d.pairs.protocol import Pairs
 from adagmm_o3d.result import Iteration, StopReason
-from adagmm_o3d.search.levels import SMALL, Cascade
-from adagmm_o3d.search.runs import End, Limits, Start, run_starts
+from adagmm_o3d.search.levels import Levels
 from adagmm_o3d.trust.pose_covariance import Fit
 
 LEVEL = 3
@@ -57,7 +56,7 @@ class Refined:
 
 
 def refine(
-    cascade: Cascade,
+    levels: Levels,
     end: End,
     criteria: Criteria,
     *,
@@ -67,9 +66,9 @@ def refine(
     observe: Observe | None,
 ) -> Refined:
     """Carry an end of the search to convergence; its iterations stand before those that follow."""
-    source, target, volume = cascade.source, cascade.target, cascade.volume
-    if cascade.small and mutuality == 0.0:
-        outcome, fit = _refine_compiled(cascade, end, criteria, observe)
+    source, target = levels.source, levels.target
+    if levels.small and mutuality == 0.0:
+        outcome, fit = _refine_compiled(levels, end, criteria, observe)
         return Refined(outcome, fit, make_pair_loop(source, target, device), source, target)
 
     def run(
@@ -82,7 +81,6 @@ def refine(
             fit.sigma,
             unmatched=fit.unmatched,
             mutuality=mutuality,
-            volume=volume,
             fastest=fastest,
             floor=floor,
         )
@@ -95,10 +93,10 @@ def refine(
             level=LEVEL,
             observe=observe,
         )
-        ended = Fit(outcome.pose, expectation.scale.target, expectation.unmatched, volume, mutuality)
+        ended = Fit(outcome.pose, expectation.scale.target, expectation.unmatched, mutuality)
         return Refined(outcome, ended, pairs, *sides)
 
-    found = Fit(end.pose, end.sigma, end.unmatched, volume, mutuality)
+    found = Fit(end.pose, end.sigma, end.unmatched, mutuality)
     condensed = condense(source), condense(target)
     dense = condensed[0] is not source or condensed[1] is not target
     refined = run(condensed, found, criteria.max_iteration, SIGMA_FLOOR if dense else SAMPLED_SIGMA, FASTEST, mutuality)
@@ -128,11 +126,11 @@ def _part(mixture: Mixture, count: int) -> Mixture:
     return mixture.take(some_of(np.arange(len(mixture)), count))
 
 
-def _refine_compiled(cascade: Cascade, end: End, criteria: Criteria, observe: Observe | None) -> tuple[Outcome, Fit]:
+def _refine_compiled(levels: Levels, end: End, criteria: Criteria, observe: Observe | None) -> tuple[Outcome, Fit]:
     """Without a return to Python, which would cost small clouds more than their pairs do."""
     start = Start(end.pose, end.sigma, end.unmatched, FASTEST, criteria.max_iteration, follow=1.0)
     limits = Limits(SAMPLED_SIGMA, LEAST_UNMATCHED, criteria.relative_rmse, accelerated=True, bits=CUT_BITS)
-    refined = run_starts(*cascade.sampled(SMALL), [start], limits=limits, volume=cascade.volume, level=LEVEL)[0]
+    refined = run_starts(*levels.sampled(levels.schedule.small), [start], limits=limits, level=LEVEL)[0]
     iterations = refined.iterations
     if observe is not None:
         for iteration in iterations:
@@ -141,5 +139,5 @@ def _refine_compiled(cascade: Cascade, end: End, criteria: Criteria, observe: Ob
         reason = StopReason.NO_OVERLAP
     else:
         reason = StopReason.CONVERGED if refined.settled else StopReason.MAX_ITERATION
-    fit = Fit(refined.pose, refined.sigma, refined.unmatched, cascade.volume, mutuality=0.0)
+    fit = Fit(refined.pose, refined.sigma, refined.unmatched, mutuality=0.0)
     return Outcome(refined.pose, end.iterations + iterations, reason), fit

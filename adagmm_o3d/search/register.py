@@ -12,30 +12,27 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adagmm_o3d.arguments import Array
-from adagmm_o3d.em.expectation import CLOSE_VOLUME, OPEN_VOLUME, AdaptiveExpectation
-from adagmm_o3d.em.loop import expectation_maximisation
+from adagmm_o3d.em.expectation import AdaptiveExpectation
+from adagmm_o3d.em.loop import Outcome, expectation_maximisation
+from adagmm_o3d.em.runs import End
 from adagmm_o3d.em.sigma_rules import Annealed, FigureTwo, NearestDistance, SigmaRule
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.lie import project_to_rotation, split
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.normalisation import Normalisation, normalise
-from adagmm_o3d.options import Callback, Criteria, TransformationEstimationForAdaptiveGMM
+from adagmm_o3d.options import INIT_TOLERANCE, Callback, Criteria, TransformationEstimationForAdaptiveGMM
 from adagmm_o3d.pairs.device import make_pair_loop
-from adagmm_o3d.result import Iteration, PointRegistrationResult, PoseUncertainty, StopReason
-from adagmm_o3d.search import starts
-from adagmm_o3d.search.levels import Cascade
+from adagmm_o3d.result import Deferred, Iteration, PointRegistrationResult, PoseUncertainty, StopReason
+from adagmm_o3d.search.find import find
+from adagmm_o3d.search.levels import Levels
 from adagmm_o3d.search.refinement import refine
-from adagmm_o3d.search.rotations import is_ambiguous, search_globally
-from adagmm_o3d.search.runs import End, pose_distance
+from adagmm_o3d.search.schedule import SCHEDULE
 from adagmm_o3d.trust.conclusion import conclude, lower, no_partners, partners_of
+from adagmm_o3d.trust.judge import JUDGED, Judge
 from adagmm_o3d.trust.pose_covariance import uncertainty_out
 
-# A pose handed over by another program has float32 digits.
-INIT_TOLERANCE = 1e-4
-# A given start is believed when this share of the source has a partner where it leads.
-PLAUSIBLE = 0.1
-# Starts that differ by less than this, in radii, lead to the same end: σ = 0.3 does not tell them apart.
-SAME_START = 0.1
+# No more than a third of `max_iteration` is reported of the search.
+SEARCHING = 3
 # The paper's wide mixtures converge slowly: their steps are short long before the end.
 SLOW = 0.01
 
@@ -48,6 +45,7 @@ def register_mixtures(
     limits: Criteria,
     device: str,
     callback: Callback | None,
+    viewpoints: tuple[Array | None, Array | None] = (None, None),
 ) -> PointRegistrationResult:
     """Register the mixtures as they came through the door, wherever they lie; see `register_points`."""
     dimension = moving.dimension
@@ -57,26 +55,43 @@ def register_mixtures(
         raise InputError(f"init: expected a pose or 'global', got {init!r}")
     everywhere = isinstance(init, str)
     given = None if init is None or everywhere else _start_pose(init, normalisation, dimension)
+    if limits.max_iteration == 0:
+        return _stay(moving, fixed, init, given, normalisation, device)
     ambiguous, assess = False, _unknown
+    weigh: Callable[[], float | None] = _none
     if method.sigma_rule == "posterior":
-        cascade, ends = _find(moving, fixed, method, given, everywhere, normalisation)
-        best, ambiguous = ends[0], everywhere and is_ambiguous(ends)
+        levels, seen_from = Levels(moving, fixed, SCHEDULE), normalisation.points_in(*viewpoints)
+        judge = Deferred(lambda: Judge(moving, fixed, levels.sampled(JUDGED), seen_from))
+        identity = normalisation.pose_in(np.eye(4))
+        found = find(
+            levels,
+            given=None if given is None or np.allclose(given, identity, rtol=0, atol=1e-9) else given,
+            identity=identity if method.start != "centroids" else None,
+            centroids=method.start != "init",
+            everywhere=everywhere,
+            search=method.search,
+            judge=judge,
+            viewpoints=seen_from,
+        )
+        ambiguous = found.ambiguous
+        best, limits = _within(limits, found.end)
         if observe is not None:
             for iteration in best.iterations:
                 observe(iteration)
-        start, volume = best.start, cascade.volume
+        start = best.start
         refined = refine(
-            cascade,
+            levels,
             best,
             limits,
             device=device,
-            mutuality=_mutuality(method, cascade),
+            mutuality=_mutuality(method, levels),
             relaxation=method.relaxation,
             observe=observe,
         )
         outcome, pairs = refined.outcome, refined.pairs
         if outcome.stop_reason is not StopReason.NO_OVERLAP:
             assess = partial(uncertainty_out, pairs, refined.source, refined.target, refined.fit, normalisation)
+            weigh = partial(_confidence, judge, outcome.pose)
         if refined.source is not moving:
             # What is said of each point is said of all of them.
             pairs = make_pair_loop(moving, refined.target, device)
@@ -85,7 +100,7 @@ def register_mixtures(
             raise InputError(f"init: 'global' needs sigma_rule 'posterior', got {method.sigma_rule!r}")
         identity = normalisation.pose_in(np.eye(4))
         start = given if given is not None else identity if method.start == "init" else np.eye(4)
-        volume, pairs = OPEN_VOLUME[dimension], make_pair_loop(moving, fixed, device)
+        pairs = make_pair_loop(moving, fixed, device)
         limits = replace(limits, relative_rmse=SLOW * limits.relative_rmse)
         expectation = AdaptiveExpectation(pairs, _sigma_rule(method, dimension), start)
         outcome = expectation_maximisation(
@@ -93,7 +108,7 @@ def register_mixtures(
         )
     find_partners = partial(no_partners, moving)
     if outcome.stop_reason is not StopReason.NO_OVERLAP:
-        find_partners = partial(partners_of, pairs, moving, outcome.pose, outcome.iterations[-1].sigma, volume)
+        find_partners = partial(partners_of, pairs, moving, fixed, outcome.pose, outcome.iterations[-1].sigma)
     return conclude(
         start,
         outcome,
@@ -103,38 +118,61 @@ def register_mixtures(
         ambiguous=ambiguous,
         find_partners=find_partners,
         assess=assess,
+        weigh=weigh,
     )
 
 
-def _find(
-    source: Mixture,
-    target: Mixture,
-    method: TransformationEstimationForAdaptiveGMM,
+def _confidence(judge: Deferred[Judge], pose: Array) -> float:
+    return judge().confidence(pose)
+
+
+def _none() -> None:
+    """Of a pose that the paper's own rules found, or that no pair speaks for."""
+
+
+def _within(limits: Criteria, end: End) -> tuple[End, Criteria]:
+    """An end with as much of the way there as is reported, and what `max_iteration` leaves for the last level."""
+    found = end.iterations
+    kept = min(len(found), limits.max_iteration // SEARCHING)
+    limits = replace(limits, max_iteration=limits.max_iteration - kept)
+    left_out = len(found) - kept
+    if left_out == 0:
+        return end, limits
+    trail = []
+    start, rest = found[left_out - 1].pose, left_out
+    for level, rows in end.trail:
+        trail.append((level, rows[min(rest, len(rows)) :]))
+        rest -= min(rest, len(rows))
+    return end._replace(start=start, trail=tuple(trail)), limits
+
+
+def _stay(
+    moving: Mixture,
+    fixed: Mixture,
+    init: ArrayLike | str | None,
     given: Array | None,
-    everywhere: bool,
     normalisation: Normalisation,
-) -> tuple[Cascade, list[End]]:
-    """The ends on the deciding level, the one to refine first, and the cascade that found them."""
-    dimension = source.dimension
-    centroids, identity = np.eye(4), normalisation.pose_in(np.eye(4))
-    cascade = Cascade(source, target, OPEN_VOLUME[dimension])
-    if everywhere:
-        return cascade, search_globally(source, target, volume=cascade.volume)
-    if given is not None and not np.allclose(given, identity):
-        near = Cascade(source, target, CLOSE_VOLUME[dimension])
-        best = max(near.run_deciding(starts.near(given)), key=lambda end: end.log_likelihood)
-        if best.iterations[-1].matched >= PLAUSIBLE:
-            return near, [best]
-        bases = [given]
-    else:
-        bases = {"auto": [centroids, identity], "centroids": [centroids], "init": [identity]}[method.start]
-        if pose_distance(bases[0], bases[-1]) < SAME_START:
-            bases = bases[:1]
-    trusted = cascade.register_trusted([starts.wide(base) for base in bases])
-    if not method.search or cascade.is_tight(trusted[1]):
-        return cascade, [trusted[1]]
-    others = [*starts.around(bases[0], dimension), *(starts.narrow(base) for base in bases[1:])]
-    return cascade, cascade.search(others, trusted)
+    device: str,
+) -> PointRegistrationResult:
+    """The start, to the last bit, as the result of no iteration."""
+    if isinstance(init, str):
+        raise InputError("criteria.max_iteration: expected at least 1 as init='global' names no pose, got 0")
+    dimension = moving.dimension
+    pose = normalisation.pose_in(np.eye(4)) if given is None else given
+    pairs = make_pair_loop(moving, fixed, device)
+    result = conclude(
+        pose,
+        Outcome(pose, (), StopReason.MAX_ITERATION),
+        normalisation,
+        moving,
+        fixed,
+        ambiguous=False,
+        find_partners=partial(partners_of, pairs, moving, fixed, pose, 0.0),
+        assess=_unknown,
+        weigh=_none,
+    )
+    start = np.eye(dimension + 1) if init is None else np.array(init, np.float64)
+    return replace(result, transformation=start, transformations=start[None].copy())
 
 
 def _unknown() -> PoseUncertainty:
@@ -142,10 +180,10 @@ def _unknown() -> PoseUncertainty:
     return PoseUncertainty(None, ())
 
 
-def _mutuality(method: TransformationEstimationForAdaptiveGMM, cascade: Cascade) -> float:
+def _mutuality(method: TransformationEstimationForAdaptiveGMM, levels: Levels) -> float:
     if method.mutuality is not None:
         return method.mutuality
-    return 0.0 if cascade.small else 0.5
+    return 0.0 if levels.small else 0.5
 
 
 def _start_pose(init: ArrayLike, normalisation: Normalisation, dimension: int) -> Array:

@@ -8,74 +8,41 @@ within what the first, wide σ sees.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from adagmm_o3d.arguments import Array
-from adagmm_o3d.em.expectation import SIGMA_FLOOR
+from adagmm_o3d.em.runs import End, Start, distinct, pose_distance
 from adagmm_o3d.lie import so_exp
-from adagmm_o3d.mixtures.merging import MergedMixture, merge, sample
-from adagmm_o3d.mixtures.mixture import Mixture
-from adagmm_o3d.search.runs import End, Limits, Start, distinct, joined, pose_distance, run_starts
+from adagmm_o3d.search.levels import Levels
+from adagmm_o3d.search.schedule import Level
 
 # Neighbours in a grid of 128 rotations are about 50° apart, which is within reach of σ = 0.1 [radius²] on both sides.
 ROTATIONS, ANGLES = 128, 24
 # The spiral's second constant, ψ⁴ = ψ + 4 (the first is √2).
 PSI = 1.533751168755204288118041
-# Two poses this far apart (12° or 0.3 radii) that explain the clouds equally well to within this much [nats per point,
-# both clouds added] cannot be told apart. Measured gaps: symmetric bodies sampled twice 0.00 to 0.17 (1 of 30 above),
-# rooms 0.07 and more (4 of 60 below), the simulation's models 1.9 and more.
-APART_AMBIGUOUS, AMBIGUOUS_GAP = 0.3, 0.15
+# Two poses this far apart are clearly different: 12° or 0.3 radii.
+APART_AMBIGUOUS = 0.3
 
 
-@dataclass(frozen=True)
-class _Level:
-    """One level of the search: its mixtures, how EM runs there, and how many of its ends go on how far apart."""
-
-    mixtures: tuple[MergedMixture, MergedMixture]
-    limits: Limits
-    fastest: float
-    iterations: int
-    follow: float
-    kept: int
-    apart: float
-
-    def start(self, end: End, sigma: float) -> Start:
-        return Start(end.pose, sigma, end.unmatched, self.fastest, self.iterations, self.follow)
-
-
-def search_globally(source: Mixture, target: Mixture, *, volume: float) -> list[End]:
-    """The likeliest poses between two clouds in any position to each other.
-
-    Parameters
-    ----------
-    source, target : normalised mixtures (see `normalisation.normalise`), 2D or 3D.
-    volume : that over which points without a partner are spread, see `expectation.OPEN_VOLUME`.
+def search_globally(levels: Levels) -> list[End]:
+    """The likeliest poses between two clouds turned against each other in any way, their centroids not far apart.
 
     Returns
     -------
     Up to four ends, likeliest first, each with its σ and unmatched share for the refinement on all points; among them,
-    where there is one, the best that is clearly different from the first (see `is_ambiguous`).
+    where there is one, the best that is clearly different from the first (see `find.is_ambiguous`).
     """
-    grid, merged, ranking, deciding = _levels(source, target)
-    starts = [Start(pose, 0.1, 0.2, grid.fastest, grid.iterations, grid.follow) for pose in _grid(source.dimension)]
-    ends = run_starts(*grid.mixtures, starts, limits=grid.limits, volume=volume, level=0)
-    ends = distinct(ends, grid.kept, grid.apart)
-    ends = _carry_on(ends, [merged.start(end, 0.015) for end in ends], merged, volume, 0)
-    ends = _carry_on(ends, [ranking.start(end, 4e-3) for end in ends], ranking, volume, 1)
-    ends = _carry_on(ends, [deciding.start(end, end.sigma) for end in ends], deciding, volume, 2)
+    schedule = levels.schedule
+    grid = schedule.grid
+    starts = [
+        Start(pose, grid.sigma or 0.1, 0.2, grid.fastest, grid.iterations, grid.follow)
+        for pose in _grid(levels.source.dimension)
+    ]
+    ends = distinct(levels.run(grid, starts, 0), grid.kept, grid.apart)
+    for number, level in enumerate((schedule.grid_merged, schedule.grid_ranking, schedule.grid_deciding)):
+        ends = _best(levels.carry_on(level, ends, number), level)
     return ends
-
-
-def is_ambiguous(ends: list[End]) -> bool:
-    """Whether two clearly different poses among the ends, likeliest first, explain the clouds equally well."""
-    best = ends[0]
-    return any(
-        best.log_likelihood - end.log_likelihood < AMBIGUOUS_GAP
-        and pose_distance(best.pose, end.pose) > APART_AMBIGUOUS
-        for end in ends[1:]
-    )
 
 
 def rotation_grid(count: int) -> Array:
@@ -109,21 +76,10 @@ def _grid(dimension: int) -> Array:
     return poses
 
 
-def _levels(source: Mixture, target: Mixture) -> tuple[_Level, _Level, _Level, _Level]:
-    return (
-        _Level((merge(source, 64), merge(target, 64)), Limits(1e-2, 0.05, 1e-4), 0.6, 5, 0.0, 32, 0.15),
-        _Level((merge(source, 150), merge(target, 150)), Limits(2e-3, 0.05, 5e-4), 0.65, 6, 0.0, 8, 0.1),
-        _Level((sample(source, 500), sample(target, 500)), Limits(1e-3, 0.05, 1e-3), 0.65, 6, 0.0, 3, 0.05),
-        _Level((sample(source, 1000), sample(target, 1000)), Limits(SIGMA_FLOOR, 0.15, 4e-4), 0.5, 6, 1.0, 4, 0.0),
-    )
-
-
-def _carry_on(before: list[End], starts: list[Start], on: _Level, volume: float, level: int) -> list[End]:
-    """The best of the ends of `starts` on a level, each with the way that led to its start put in front."""
-    ends = run_starts(*on.mixtures, starts, limits=on.limits, volume=volume, level=level)
-    after = joined(before, ends)
-    kept = distinct(after, on.kept, on.apart)
-    rivals = [end for end in after if pose_distance(end.pose, kept[0].pose) > APART_AMBIGUOUS]
+def _best(ends: list[End], level: Level) -> list[End]:
+    """The ends that go on from a level."""
+    kept = distinct(ends, level.kept, level.apart)
+    rivals = [end for end in ends if pose_distance(end.pose, kept[0].pose) > APART_AMBIGUOUS]
     if rivals and all(pose_distance(end.pose, kept[0].pose) <= APART_AMBIGUOUS for end in kept):
         kept.append(max(rivals, key=lambda end: end.log_likelihood))
     return kept

@@ -9,14 +9,16 @@ from functools import cache
 import numpy as np
 
 from adagmm_o3d.arguments import Array
+from adagmm_o3d.em.runs import Start
 from adagmm_o3d.lie import so_exp
-from adagmm_o3d.search.runs import Start
 
 # How far the starts stand around a pose, in normalised coordinates. Two clouds of which each lost 30 % on a side have
 # centroids up to one radius apart.
 RINGS = ((0.25, 6), (0.5, 12), (0.75, 12), (1.0, 16))
 # How far they are turned, about an axis and about the diagonal between three.
 TURN, DIAGONAL_TURN = math.radians(45.0), math.radians(75.0)
+# A sensor turned in place: how far, and in which steps.
+IN_PLACE, IN_PLACE_STEP = math.radians(45.0), math.radians(15.0)
 SIDES = np.concatenate([np.eye(3), -np.eye(3)])
 DIAGONALS = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) / math.sqrt(3.0)
 
@@ -41,6 +43,25 @@ def near(pose: Array) -> list[Start]:
     return [
         Start(pose, sigma, unmatched=0.3, fastest=0.8, iterations=30, follow=0.0) for sigma in (0.001, 0.004, 0.015)
     ]
+
+
+def turned_in_place(source: Array, target: Array) -> list[Array]:
+    """Poses (4, 4) that bring the viewpoints (3,) of both clouds together, turned up to IN_PLACE against each other."""
+    poses = []
+    for turn in _ball():
+        pose = np.eye(4)
+        pose[:3, :3] = so_exp(turn)
+        pose[:3, 3] = target - pose[:3, :3] @ source
+        poses.append(pose)
+    return poses
+
+
+@cache
+def _ball() -> Array:
+    """(k, 3) rotation vectors up to IN_PLACE, IN_PLACE_STEP apart."""
+    reach = np.arange(-IN_PLACE, IN_PLACE + 1e-9, IN_PLACE_STEP)
+    turns = np.array(list(itertools.product(reach, repeat=3)))
+    return turns[(turns**2).sum(axis=1) <= IN_PLACE**2 + 1e-9]
 
 
 def around(pose: Array, dimension: int) -> list[Start]:

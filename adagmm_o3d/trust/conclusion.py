@@ -7,10 +7,13 @@ from collections.abc import Callable
 import numpy as np
 
 from adagmm_o3d.arguments import Array
-from adagmm_o3d.em.expectation import SIGMA_FLOOR, uniform_density
 from adagmm_o3d.em.loop import Outcome
+from adagmm_o3d.em.unmatched import uniform_density
+from adagmm_o3d.mixtures.condensing import SIGMA_FLOOR
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.normalisation import Normalisation
+from adagmm_o3d.mixtures.sampling import quantile
+from adagmm_o3d.mixtures.spacing import spacing_of_whole
 from adagmm_o3d.pairs.protocol import Pairs
 from adagmm_o3d.result import Deferred, Partners, PointRegistrationResult, PoseUncertainty, StopReason
 
@@ -30,6 +33,7 @@ def conclude(
     ambiguous: bool,
     find_partners: Callable[[], Partners],
     assess: Callable[[], PoseUncertainty],
+    weigh: Callable[[], float | None],
 ) -> PointRegistrationResult:
     """The result of normalised mixtures in input units."""
     poses = np.array([start, *(i.pose for i in outcome.iterations)])
@@ -43,21 +47,23 @@ def conclude(
         transformations=poses,
         dropped_source=source.dropped,
         dropped_target=target.dropped,
+        regularised_source=source.regularised,
+        regularised_target=target.regularised,
         ambiguous=ambiguous,
         doubts=_doubts(outcome, ambiguous),
         find_partners=Deferred(find_partners),
         assess=Deferred(assess),
+        weigh=Deferred(weigh),
     )
 
 
-def partners_of(pairs: Pairs, source: Mixture, pose: Array, sigma: float, volume: float) -> Partners:
-    """What a pose between normalised mixtures, whose `pairs` they are, says of every input point of the source.
-
-    Points that have no partner are spread over `volume`.
-    """
-    # Finer than the floor, a point between the samples of the other cloud would seem to have no partner.
-    sigma = max(sigma, SIGMA_FLOOR)
-    posterior = pairs.posterior_sums(pose, sigma, uniform_density(JUDGED_UNMATCHED, source.dimension, volume))
+def partners_of(pairs: Pairs, source: Mixture, target: Mixture, pose: Array, sigma: float) -> Partners:
+    """What a pose between normalised mixtures, whose `pairs` they are, says of every input point of the source."""
+    # Where the mixtures are narrower than the target's spacing, a point between its samples would seem to have no
+    # partner.
+    widest = float(quantile(target.largest_variances, 0.5))
+    sigma = max(sigma, SIGMA_FLOOR, spacing_of_whole(target) ** 2 / widest)
+    posterior = pairs.posterior_sums(pose, sigma, uniform_density(JUDGED_UNMATCHED, sigma, source.dimension))
     row_weights = np.zeros(len(source.kept))
     row_weights[source.kept] = posterior.row_weights
     return Partners(float(posterior.overlap), row_weights)

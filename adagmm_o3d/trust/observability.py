@@ -11,6 +11,8 @@ N. Gelfand, L. Ikemoto, S. Rusinkiewicz, M. Levoy: Geometrically Stable Sampling
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 
 from adagmm_o3d.arguments import Array
@@ -27,6 +29,11 @@ NEIGHBORS = 20
 # direction. Measured: planes, spheres, cylinders, tubes, circles of 300 to 3000 points, noise up to 0.03 radii, below
 # 0.015; cubes, polygons and irregular bodies above 0.04.
 FREE_SHARE = 0.02
+# Of clean surfaces less than that is real: what noise of the normals feigns is so many times its variance, and at least
+# this.
+NOISE_SHARES, LEAST_FREE_SHARE = 3.0, 0.003
+# Of nothing, a matrix by which another is divided has this share of its trace: far below what float64 sums can mean.
+NOTHING = 1e-12
 
 
 def free_directions(source: Mixture, pose: Array, matched: Array) -> tuple[Array, ...]:
@@ -46,7 +53,7 @@ def free_directions(source: Mixture, pose: Array, matched: Array) -> tuple[Array
     index = some_of(np.flatnonzero((source.variances <= FLAGGED) & np.isfinite(matched)), THINNED[dimension])
     points = source.points_at(index) @ pose[:3, :3].T + pose[:3, 3]
     weights = matched[index]
-    normals = _normals(points, dimension)
+    normals, spread_sq = _normals(points, dimension)
     along_normals = np.concatenate([np.cross(points, normals), normals], axis=1)
     held = np.einsum("n,nk,nl->kl", weights, along_normals, along_normals)
     everywhere = np.zeros((6, 6))
@@ -55,22 +62,31 @@ def free_directions(source: Mixture, pose: Array, matched: Array) -> tuple[Array
         everywhere += np.einsum("n,nk,nl->kl", weights, along_axis, along_axis)
     free = np.ix_(FREE[dimension], FREE[dimension])
     shares, motions = generalised_eigen(held[free], everywhere[free])
-    directions, _ = np.linalg.qr(motions[:, shares < FREE_SHARE])
+    noise = float((weights * spread_sq).sum() / max(weights.sum(), 1e-12))
+    free_share = min(max(NOISE_SHARES * noise, LEAST_FREE_SHARE), FREE_SHARE)
+    directions, _ = np.linalg.qr(motions[:, shares < free_share])
     return tuple(directions.T)
 
 
-def _normals(points: Array, dimension: int) -> Array:
-    """(n, 3) unit normals of the surface (in 2D the curve) through each point and its neighbours."""
+def _normals(points: Array, dimension: int) -> tuple[Array, Array]:
+    """(n, 3) unit normals of the surface (in 2D the curve) through each point and its neighbours, and (n,) how far off
+    they are [rad²], by the scatter across the surface beside that along it."""
     flat = np.ascontiguousarray(points[:, :dimension])
     neighbors = flat[NeighborIndex(flat).query(flat, NEIGHBORS)[0]]
     offsets = neighbors - neighbors.mean(axis=1, keepdims=True)
     normals = np.zeros((len(points), 3))
-    normals[:, :dimension] = np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets)).eigenvectors[:, :, 0]
-    return normals
+    variances, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))
+    normals[:, :dimension] = axes[:, :, 0]
+    return normals, variances[:, 0] / (np.maximum(variances[:, 1], 1e-300) * neighbors.shape[1])
 
 
 def generalised_eigen(a: Array, b: Array) -> tuple[Array, Array]:
-    """Ascending λ and the columns x of a x = λ b x; b positive definite."""
-    inverse = np.linalg.inv(np.linalg.cholesky(b))
+    """Ascending λ and the columns x of a x = λ b x; b positive semidefinite.
+
+    Where b says nothing (no point pulls across a flat outline that is registered to itself), a trace of it stands in,
+    and λ is large or, where a says nothing either, zero.
+    """
+    least = max(NOTHING * float(np.trace(b)), sys.float_info.min)
+    inverse = np.linalg.inv(np.linalg.cholesky(b + least * np.eye(len(b))))
     values, vectors = np.linalg.eigh(inverse @ a @ inverse.T)
     return values, inverse.T @ vectors

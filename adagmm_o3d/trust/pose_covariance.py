@@ -30,8 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adagmm_o3d.arguments import Array
-from adagmm_o3d.em.expectation import uniform_density
 from adagmm_o3d.em.m_step import FREE
+from adagmm_o3d.em.unmatched import uniform_density
 from adagmm_o3d.kernels.cpu.scores import score_sums
 from adagmm_o3d.kernels.layout import CURVATURE, POINT_SUMS, SCORE, SENSITIVITY
 from adagmm_o3d.lie import hat
@@ -53,17 +53,18 @@ CUT = 25.0
 FLAT = 1e-6
 # A direction also counts as free when its standard deviation is this share of the radius.
 FREE_DEVIATION = 0.2
+# The least share of the Gauss-Newton curvature that is left when the weights follow the pose.
+LEAST_HELD = 0.1
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Where EM ended on two normalised mixtures: pose (4, 4), σ, the share of points without a partner and the volume
-    over which these are spread, and the mutuality of the posteriors."""
+    """Where EM ended on two normalised mixtures: pose (4, 4), σ, the share of points without a partner, and the
+    mutuality of the posteriors."""
 
     pose: Array
     sigma: float
     unmatched: float
-    volume: float
     mutuality: float
 
 
@@ -132,7 +133,7 @@ class ScoreMoments:
 
 def score_moments(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -> ScoreMoments:
     """The scores of the points of both clouds at a pose."""
-    uniform = uniform_density(fit.unmatched, source.dimension, fit.volume)
+    uniform = uniform_density(fit.unmatched, fit.sigma, source.dimension)
     sums = pairs.posterior_sums(fit.pose, fit.sigma, uniform, fit.mutuality)
     source_weights, target_weights = source.weights / source.weights.sum(), target.weights / target.weights.sum()
     # 1 / (density + uniform), for the source points from the probability to have a partner
@@ -165,7 +166,20 @@ def score_moments(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -> S
         by_blocks += 0.5 * (growth * points + growth**2 * (block.T @ block - points))
     free = np.ix_(FREE[source.dimension], FREE[source.dimension])
     left = sums.gradient[FREE[source.dimension]]
-    return ScoreMoments(0.5 * (curvature + curvature.T)[free], by_points[free], by_blocks[free], left, sums.row_weights)
+    curvature = 0.5 * (curvature + curvature.T)[free]
+    if np.trace(curvature) > 0.0:
+        curvature = _held(curvature, sums.hessian[free])
+    return ScoreMoments(curvature, by_points[free], by_blocks[free], left, sums.row_weights)
+
+
+def _held(curvature: Array, hessian: Array) -> Array:
+    """The curvature, where it is no less than LEAST_HELD of what the pairs hold with their weights fixed.
+
+    The change of the weights takes some of that away; by chance of the sampling, more than there is.
+    """
+    shares, motions = generalised_eigen(curvature, hessian)
+    outward = hessian @ motions
+    return outward @ (np.maximum(shares, LEAST_HELD)[:, None] * outward.T)
 
 
 def covariance_out(covariance: Array, normalisation: Normalisation) -> Array:

@@ -1,7 +1,7 @@
 """Covariances from the surface itself: wide along it, thin across it, for clouds whose sensor is unknown."""
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from adagmm_o3d.arguments import Array, float_array, real_number, unit_vectors, whole_number
 from adagmm_o3d.errors import DegenerateError, InputError
@@ -49,12 +49,45 @@ def estimate_surface_covariances(
     if thickness > 1.0:
         raise InputError(f"epsilon: expected at most 1, got {thickness:g}; it is the variance across the surface")
     if normals is None:
-        n = _estimate_normals(p, neighbors)
+        n = _estimate_normals(p, neighbors, np.arange(len(p)))
     else:
         n = unit_vectors("normals", normals, ("N", dimension))
         if len(n) != len(p):
             raise InputError(f"normals: expected {p.shape} to match the points, got {n.shape}")
-    return np.eye(dimension) - (1.0 - thickness) * (n[:, :, None] * n[:, None, :])
+    return _plane_covariances(n, thickness)
+
+
+def stand_in_covariances(points: Array, normals: Array | None = None, *, epsilon: float = EPSILON) -> Array | None:
+    """What stands for the covariances that a cloud does not have: those of its surface, as in Open3D's GICP.
+
+    Parameters
+    ----------
+    points : (N, D), D = 2 or 3, any unit.
+    normals : (N, D) as the cloud has them, of any length and sign, or None. Neighbours speak for a point whose normal
+        is zero or not finite; where there are no more than D points, Σ = I.
+    epsilon : as in `estimate_surface_covariances`.
+
+    Returns
+    -------
+    (N, D, D) float64, or None for fewer than three points or some that are not finite, which no registration takes.
+
+    Raises
+    ------
+    DegenerateError  if there are no usable normals, and no more than D points.
+    """
+    if len(points) < 3 or not np.isfinite(points).all():
+        return None
+    usable = np.zeros(len(points), bool)
+    if normals is not None:
+        lengths = np.linalg.norm(normals, axis=1)
+        usable = np.isfinite(lengths) & (lengths > 0.0)
+    if normals is None or not usable.any():
+        return estimate_surface_covariances(points, epsilon=epsilon)
+    n = np.zeros(points.shape)
+    n[usable] = normals[usable] / lengths[usable, None]
+    if not usable.all() and len(points) > points.shape[1]:
+        n[~usable] = _estimate_normals(points, KNN, np.flatnonzero(~usable))
+    return _plane_covariances(n, epsilon)
 
 
 def check_count(count: int, dimension: int) -> None:
@@ -65,14 +98,19 @@ def check_count(count: int, dimension: int) -> None:
         )
 
 
-def _estimate_normals(points: Array, knn: int) -> Array:
-    """Unit normals (N, D), zero where the neighbourhood has none."""
+def _plane_covariances(normals: Array, thickness: float) -> Array:
+    """(N, D, D) of unit normals (N, D), the identity where one is zero."""
+    return np.eye(normals.shape[1]) - (1.0 - thickness) * (normals[:, :, None] * normals[:, None, :])
+
+
+def _estimate_normals(points: Array, knn: int, chosen: NDArray[np.intp]) -> Array:
+    """Unit normals of the chosen points (K, D), zero where the neighbourhood has none."""
     check_count(*points.shape)
-    index = NeighborIndex(points)
-    normals = np.empty_like(points)
-    for start in range(0, len(points), CHUNK):
+    index = NeighborIndex(np.ascontiguousarray(points))
+    normals = np.empty((len(chosen), points.shape[1]))
+    for start in range(0, len(chosen), CHUNK):
         chunk = slice(start, start + CHUNK)
-        rows, _ = index.query(points[chunk], knn)
+        rows, _ = index.query(points[chosen[chunk]], knn)
         offsets = points[rows] - points[rows].mean(axis=1, keepdims=True)
         scatter = np.einsum("nki,nkj->nij", offsets, offsets)
         variances, directions = np.linalg.eigh(scatter)

@@ -19,6 +19,7 @@ COMMANDS = {
     "sim3d": ("simulations", {"dimension": 3}, "the four sweeps of Section 4.1 in 3D"),
     "kinect": ("kinect", {}, "the paper's Kinect scenes and its Figure 18"),
     "recordings": ("recordings", {}, "RGB-D recordings with ground truth, end to end through the app"),
+    "pairs": ("pairs", {}, "clouds as people bring them: found, and known to be wrong, beside others"),
     "speed": ("speed", {}, "how fast, beside other libraries, and against recorded ratios"),
     "ablation": ("ablation", {}, "what each choice of the default is worth: one undone at a time"),
     "covariance": ("covariance", {}, "whether true errors are as large as the pose covariance says"),

@@ -15,7 +15,7 @@ from adagmm_bench.speed.large import surface_pair
 from adagmm_bench.summary import found_in_simulation
 from adagmm_bench.trial import SIMULATION_PARTNER_DISTANCE
 
-# What a cloud lost on its side, what was sampled of the rest, and the noise in it [radii].
+# The share that a cloud lost on its side, the share of the rest that was sampled, and its noise [radii].
 LOST, SAMPLED, NOISE = 0.3, 0.9, 0.005
 TURN_DEG = 15.0
 FOUND_TRANSLATION = 0.1  # radii: outlines slide along themselves

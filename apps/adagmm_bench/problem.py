@@ -8,8 +8,8 @@ import numpy as np
 
 from adagmm_o3d.errors import InputError
 
-# A point this many times less certain than the cloud's most certain tenth is marked as an outlier by its covariance.
-# Not the median: more than half of a cloud may be marked.
+# A point counts as marked if its covariance is this many times that of the cloud's most certain tenth. The median would
+# not do in place of the tenth: more than half of a cloud may be marked.
 FLAGGED_RATIO, CERTAIN_QUANTILE = 1e4, 0.1
 
 PREPARATIONS = {
@@ -21,16 +21,19 @@ PREPARATIONS = {
 
 @dataclass(frozen=True)
 class Cloud:
-    """points (n, D) float64, covariances (n, D, D) float64; D is 2 or 3."""
+    """points (n, D) float64, covariances (n, D, D) float64; D is 2 or 3. viewpoint (D,): where the sensor stood, if
+    that is known.
+    """
 
     points: np.ndarray
     covariances: np.ndarray
+    viewpoint: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.points)
 
     def subset(self, keep: np.ndarray) -> Cloud:
-        return Cloud(self.points[keep], self.covariances[keep])
+        return Cloud(self.points[keep], self.covariances[keep], self.viewpoint)
 
     def rms_radius(self) -> float:
         return float(np.sqrt(np.mean(np.sum((self.points - self.points.mean(axis=0)) ** 2, axis=1))))
@@ -104,5 +107,10 @@ def prepare(problem: Problem, preparation: str) -> Prepared:
         role: np.zeros(problem.dimension) if preparation == "as-given" else cloud.points.mean(axis=0)
         for role, cloud in clouds.items()
     }
-    scaled = {role: Cloud((cloud.points - offsets[role]) / scale, cloud.covariances) for role, cloud in clouds.items()}
+    scaled = {role: _scaled(cloud, offsets[role], scale) for role, cloud in clouds.items()}
     return Prepared(scaled["source"], scaled["target"], offsets["source"], offsets["target"], scale)
+
+
+def _scaled(cloud: Cloud, offset: np.ndarray, scale: float) -> Cloud:
+    viewpoint = None if cloud.viewpoint is None else (cloud.viewpoint - offset) / scale
+    return Cloud((cloud.points - offset) / scale, cloud.covariances, viewpoint)

@@ -56,9 +56,18 @@ def log_replay(rec: rr.RecordingStream, problem: Problem, poses: np.ndarray, err
         rec.log("rotation_error_deg", rr.Scalars(error_deg))
 
 
-def _log_cloud(rec, entity: str, cloud: Cloud, T: np.ndarray, color, radius: float, *, static: bool = True) -> None:
+def _log_cloud(
+    rec: rr.RecordingStream,
+    entity: str,
+    cloud: Cloud,
+    T: np.ndarray,
+    color: tuple[int, int, int],
+    radius: float,
+    *,
+    static: bool = True,
+) -> None:
     D = cloud.points.shape[1]
     points = (cloud.points @ T[:D, :D].T + T[:D, D]).astype(np.float32)
-    colors = np.where(cloud.flagged()[:, None], np.uint8(FLAGGED_COLOR), np.uint8(color))
+    colors = np.where(cloud.flagged()[:, None], np.asarray(FLAGGED_COLOR, np.uint8), np.asarray(color, np.uint8))
     archetype = rr.Points2D if D == 2 else rr.Points3D
     rec.log(entity, archetype(points, colors=colors, radii=radius), static=static)

@@ -26,7 +26,9 @@ SIMULATION_PARTNER_DISTANCE = 0.1  # radii
 class ProblemSource(Protocol):
     """Where a problem comes from, small enough to be sent to a worker, which loads or simulates it there."""
 
-    partner_distance: float  # points nearer than this are partners, in the units of the clouds
+    @property
+    def partner_distance(self) -> float:
+        """Points nearer than this are partners, in the units of the clouds."""
 
     @property
     def key(self) -> str: ...
@@ -80,7 +82,7 @@ def run_trial(job: TrialJob) -> dict:
     problem = job.problem.load()
     prepared = prepare(problem, job.start)
     _warm_up(job.method, problem.dimension)
-    _seed()
+    seed_generators()
     started, started_cpu = time.perf_counter(), time.process_time()
     status, reason = "ok", ""
     try:
@@ -136,7 +138,7 @@ def orthonormal(T: np.ndarray) -> np.ndarray:
     return clean
 
 
-def _seed() -> None:
+def seed_generators() -> None:
     """The generators that peers draw from."""
     o3d.utility.random.seed(0)
     np.random.seed(0)

@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Callable
+from typing import Any
 
 SHELLS = ("bash", "zsh", "tcsh")
 
@@ -10,8 +11,8 @@ def add_completion(top: argparse.ArgumentParser, whole: Callable[[], argparse.Ar
     """Add the option to a command's grammar; `whole` makes it with the options of all its commands."""
 
     class PrintCompletion(argparse.Action):
-        def __call__(self, parser, namespace, values, option_string=None) -> None:
-            import shtab
+        def __call__(self, parser: argparse.ArgumentParser, namespace: object, values: Any, *_: object) -> None:
+            import shtab  # type: ignore[import-untyped,unused-ignore]
 
             print(shtab.complete(whole(), values))
             parser.exit()

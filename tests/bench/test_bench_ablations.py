@@ -17,8 +17,8 @@ from adagmm_bench.trial import SimulatedProblem
 from adagmm_o3d import TransformationEstimationForAdaptiveGMM
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.lie import se_exp
-from adagmm_o3d.search import levels
-from adagmm_o3d.search.levels import Cascade
+from adagmm_o3d.mixtures import spacing
+from adagmm_o3d.search.levels import Levels
 
 
 class SmallParts:
@@ -52,6 +52,7 @@ def way(name, problem):
     return register(name, prepared.source, prepared.target).transformations
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ABLATIONS)
 def test_a_row_changes_what_runs_and_only_while_it_runs(name):
     problem = CASES.get(name, SIDES)
@@ -72,22 +73,22 @@ def test_a_row_differs_from_the_default_in_one_option_or_in_what_it_replaces():
 
 
 def test_replacements_end_with_their_block_whatever_happens_in_it():
-    tight, search = levels.TIGHT, Cascade.search
-    replacements = Replacement("search.levels", "TIGHT", 0.0), Replacement("search.levels", "Cascade.search", None)
+    probed, run = spacing.PROBED, Levels.run
+    replacements = Replacement("mixtures.spacing", "PROBED", 0.0), Replacement("search.levels", "Levels.run", None)
     with pytest.raises(ZeroDivisionError), replaced(replacements):
-        assert (levels.TIGHT, Cascade.search) == (0.0, None)
+        assert (spacing.PROBED, Levels.run) == (0.0, None)
         raise ZeroDivisionError
-    assert (levels.TIGHT, Cascade.search) == (tight, search)
+    assert (spacing.PROBED, Levels.run) == (probed, run)
 
 
-@pytest.mark.parametrize("name", ["NO_LONGER_THERE", "Cascade.no_longer_there", "Gone.search", "TIGHT.there"])
+@pytest.mark.parametrize("name", ["NO_LONGER_THERE", "PROBES.no_longer_there", "Gone.search", "PROBED.there"])
 def test_a_name_that_is_gone_is_an_error_and_nothing_is_replaced(name):
-    tight = levels.TIGHT
-    replacements = Replacement("search.levels", "TIGHT", 0.0), Replacement("search.levels", name, 1)
-    message = rf"^adagmm_o3d\.search\.levels: expected a name {name} to replace"
+    probed = spacing.PROBED
+    replacements = Replacement("mixtures.spacing", "PROBED", 0.0), Replacement("mixtures.spacing", name, 1)
+    message = rf"^adagmm_o3d\.mixtures\.spacing: expected a name {name} to replace"
     with pytest.raises(InputError, match=message), replaced(replacements):
         pass
-    assert tight == levels.TIGHT
+    assert probed == spacing.PROBED
 
 
 @pytest.mark.parametrize("dimension", [2, 3])

@@ -98,6 +98,7 @@ def test_sim2d_writes_report_figures_and_every_trial(tmp_path, capsys):
     assert max(t["rotation_error"] for t in ours) < 0.1
 
 
+@pytest.mark.slow
 def test_sim3d_from_any_rotation_is_another_experiment(tmp_path):
     arguments = ["sim3d", "--trials", "1", "--sweeps", "occlusion", "--methods", "small-gicp", "--starts", "centroids"]
     arguments += ["--workers", "1", "--output", str(tmp_path), "--data", str(tmp_path)]
@@ -108,6 +109,7 @@ def test_sim3d_from_any_rotation_is_another_experiment(tmp_path):
     assert len(lines) == 22 and sum("within 180 deg" in json.loads(line)["key"] for line in lines) == 11
 
 
+@pytest.mark.slow
 def test_kinect_has_the_authors_beside_the_others(tmp_path, capsys):
     data = shared_data("kinect_pairs").parent
     arguments = ["kinect", "--methods", "open3d-point-to-plane", "--starts", "centroids", "--workers", "1"]
@@ -183,6 +185,7 @@ def test_wrong_usage_is_exit_code_2(capsys):
     assert "expected some of rotation,noise,outliers,occlusion, got 'weather'" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_recordings_go_through_the_app_and_others_get_its_clouds(tmp_path, capsys):
     data = tmp_path / "data"
     (data / "recordings" / "not_one").mkdir(parents=True)
@@ -198,6 +201,7 @@ def test_recordings_go_through_the_app_and_others_get_its_clouds(tmp_path, capsy
     }
 
 
+@pytest.mark.slow
 def test_ablation_undoes_one_choice_at_a_time(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(
         ablation, "trial_ids", lambda dimension, **_: [TrialId(dimension, "occlusion", 0.03, i) for i in range(2)]
@@ -215,6 +219,7 @@ def test_ablation_undoes_one_choice_at_a_time(tmp_path, monkeypatch, capsys):
     assert all(s["trials"] == 2 for group in report["summaries"].values() for s in group)
 
 
+@pytest.mark.slow
 def test_covariance_compares_true_errors_with_what_it_says(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(
         covariance,

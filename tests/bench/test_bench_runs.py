@@ -87,6 +87,7 @@ def test_numbers_that_json_does_not_know_are_refused(tmp_path):
         journal.append({"key": "a", "value": float("nan")})
 
 
+@pytest.mark.slow
 def test_a_run_continues_where_it_was_stopped(tmp_path):
     path = tmp_path / "results.jsonl"
     with Journal(path) as journal:
@@ -99,6 +100,7 @@ def test_a_run_continues_where_it_was_stopped(tmp_path):
         assert run_jobs(jobs(4), journal, Placement(workers=1), run=refuse) == both
 
 
+@pytest.mark.slow
 def test_results_of_another_version_are_made_again(tmp_path):
     path = tmp_path / "results.jsonl"
     with Journal(path) as journal:
@@ -114,6 +116,7 @@ def test_a_worker_with_another_version_is_refused(tmp_path):
         run_jobs(jobs(1), journal, Placement(workers=1), run=from_elsewhere)
 
 
+@pytest.mark.slow
 def test_a_broken_trial_is_named_and_the_others_are_kept(tmp_path):
     with Journal(tmp_path / "r.jsonl") as journal:
         with pytest.raises(TrialError, match="1 of 3 trials left without a result, the first is 2D noise"):
@@ -143,6 +146,7 @@ def cluster():
         yield local
 
 
+@pytest.mark.slow
 def test_the_command_on_a_cluster_that_loses_a_worker_gives_the_bits_of_local_processes(cluster, tmp_path):
     command = [sys.executable, "-m", "adagmm_bench", "sim2d", "--trials", "1", "--starts", "centroids"]
     command += ["--methods", f"{METHOD},open3d-point-to-plane", "--sweeps", "noise", "--data", str(tmp_path)]

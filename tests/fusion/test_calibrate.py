@@ -15,10 +15,13 @@ from adagmm_fusion.board_calibration.rig_calibration import calibrate_rig
 from adagmm_fusion.board_calibration.views import find_boards
 from adagmm_fusion.cli import main
 from adagmm_fusion.errors import RecordingError
-from adagmm_fusion.frames.rgbd import PinholeIntrinsics, inverse_rigid
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.rigs.rig import load_rig
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.evaluation import pose_errors
+from adagmm_o3d.lie import se_inverse
+
+pytestmark = pytest.mark.slow
 
 LEFT = PinholeIntrinsics(640, 480, 525.0, 527.0, 322.0, 238.0, (0.08, -0.15, 0.001, -0.0007, 0.02))
 RIGHT = PinholeIntrinsics(640, 480, 540.0, 538.0, 315.0, 245.0, (-0.05, 0.06, 0.0, 0.001, 0.0))
@@ -33,7 +36,7 @@ CHARUCO = ["--charuco", "9x6", "--square", "0.05", "--marker", "0.0375", "--dict
 def render_rig(folder, pattern, square_m, poses, *, depth=True):
     rng = np.random.default_rng(11)
     for i, T in enumerate(poses):
-        for name, k, T_sensor_left in (("left", LEFT, np.eye(4)), ("right", RIGHT, inverse_rigid(T_LEFT_RIGHT))):
+        for name, k, T_sensor_left in (("left", LEFT, np.eye(4)), ("right", RIGHT, se_inverse(T_LEFT_RIGHT))):
             image, z = render_board(pattern, square_m, k, T_sensor_left @ T)
             noisy = np.clip(np.rint(image + rng.normal(0.0, 2.0, image.shape)), 0, 255).astype(np.uint8)
             write_view(folder / name, f"{i:03d}", noisy, z if depth else None)

@@ -6,8 +6,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from adagmm_fusion.cli import main
-from adagmm_fusion.frames.rgbd import PinholeIntrinsics, inverse_rigid
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.rigs.rig import load_rig
+from adagmm_o3d.lie import se_inverse
 
 LEFT = PinholeIntrinsics(640, 480, 525.0, 527.0, 322.0, 238.0, (0.08, -0.15, 0.001, -0.0007, 0.02))
 RIGHT = PinholeIntrinsics(640, 480, 540.0, 538.0, 315.0, 245.0, (-0.05, 0.06, 0.0, 0.001, 0.0))
@@ -18,7 +19,7 @@ T_LEFT_RIGHT[:3, 3] = (0.35, 0.02, 0.06)
 
 def rectified():
     """R1, R2, P1, P2 as OpenCV and, with it, ROS make them."""
-    T = inverse_rigid(T_LEFT_RIGHT)
+    T = se_inverse(T_LEFT_RIGHT)
     cameras = [part for k in (LEFT, RIGHT) for part in (k.matrix(), np.array(k.distortion))]
     return cv2.stereoRectify(*cameras, (640, 480), T[:3, :3], T[:3, 3:])[:4]
 
@@ -92,7 +93,7 @@ def test_opencv_files_of_each_camera_and_the_stereo_pose_in_millimetres(tmp_path
             camera_matrix=k.matrix(),
             distortion_coefficients=np.array(k.distortion),
         )
-    T = inverse_rigid(T_LEFT_RIGHT)
+    T = se_inverse(T_LEFT_RIGHT)
     opencv(tmp_path / f"extrinsics.{suffix}", R=T[:3, :3], T=1000.0 * T[:3, 3])
     sensors = [f"{name}={tmp_path / name}.{suffix}" for name in ("left", "right")]
     assert convert(tmp_path, *sensors, "--stereo", tmp_path / f"extrinsics.{suffix}", "--length-unit", "mm") == 0
@@ -100,7 +101,7 @@ def test_opencv_files_of_each_camera_and_the_stereo_pose_in_millimetres(tmp_path
 
 
 def test_an_opencv_stereo_file_without_the_image_size(tmp_path, capsys):
-    path, T = tmp_path / "stereo.yml", inverse_rigid(T_LEFT_RIGHT)
+    path, T = tmp_path / "stereo.yml", se_inverse(T_LEFT_RIGHT)
     cameras = {"M1": LEFT.matrix(), "D1": np.array(LEFT.distortion), "M2": RIGHT.matrix()}
     opencv(path, **cameras, D2=np.array(RIGHT.distortion), R=T[:3, :3], T=T[:3, 3])
     arguments = [f"left={path}", f"right={path}", "--stereo", path]

@@ -3,6 +3,7 @@
 The stand-in replaces the reader class only, which needs libraries and a camera's recording of hundreds of megabytes.
 """
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,10 +16,11 @@ from rosbags.typesys import Stores, get_typestore
 
 from adagmm_fusion.errors import RecordingError, RigError
 from adagmm_fusion.formats import video
-from adagmm_fusion.frames.rgbd import PinholeIntrinsics, inverse_rigid
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.recordings.opening import open_recording
 from adagmm_fusion.rigs.rig import Rig, SensorCalibration
 from adagmm_o3d import lie
+from adagmm_o3d.lie import se_inverse
 
 INTRINSICS = PinholeIntrinsics(64, 48, 60.0, 61.0, 31.5, 23.5)
 POSES = {"a": camera_pose(-12.0), "b": camera_pose(14.0, (0.1, 0.5, 1.3))}
@@ -150,7 +152,7 @@ def test_two_files_are_a_pair_of_sensors_whose_poses_the_rig_knows(tmp_path):
     recording = open_recording(tmp_path, rig=RIG, step=3)
     assert recording.sensors == ("a", "b")
     assert [p.name for p in recording] == ["00000000ms_b_to_a", "00000300ms_b_to_a"]
-    expected = inverse_rigid(POSES["a"]) @ POSES["b"]
+    expected = se_inverse(POSES["a"]) @ POSES["b"]
     np.testing.assert_allclose(recording[0].T_target_source, expected, rtol=0, atol=1e-15)
     assert open_recording(tmp_path)[0].T_target_source is None
 
@@ -208,6 +210,16 @@ def test_a_bag_that_is_cut_off_is_one_line(tmp_path, kept):
     assert str(caught.value).startswith(f"{path}: is no ROS bag, or cut off or damaged") and "\n" not in str(
         caught.value
     )
+
+
+def test_a_bag_whose_cameras_are_nowhere(tmp_path):
+    T_color_depth = np.eye(4)
+    T_color_depth[0, 3] = np.nan
+    path = bag(tmp_path, T_color_depth=T_color_depth)
+    with pytest.raises(
+        RecordingError, match=rf"^{re.escape(str(path))}: \S+/Color_0/tf/0: pose: expected finite numbers"
+    ):
+        open_recording(path)
 
 
 def test_a_bag_of_something_else(tmp_path):

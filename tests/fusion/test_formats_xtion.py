@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.frames.depth_registration import register_depth
-from adagmm_fusion.frames.rgbd import PinholeIntrinsics, inverse_rigid
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.recordings.opening import open_recording
 from adagmm_fusion.rigs.rig import Rig, SensorCalibration
+from adagmm_o3d.lie import se_inverse
 
 COLOR = PinholeIntrinsics(160, 120, 134.0, 133.0, 78.0, 61.0)
 DEPTH = PinholeIntrinsics(160, 120, 142.0, 143.0, 79.0, 59.0)
@@ -32,7 +33,7 @@ def test_what_is_read_back(xtion):
     assert recording.format == "xtion" and recording.sensors == ("camera1", "camera2")
     assert [recording.pair_name(i) for i in range(2)] == ["2_camera2_to_camera1", "11_camera2_to_camera1"]
     pair = recording[0]
-    np.testing.assert_allclose(pair.T_target_source, inverse_rigid(POSES[0]) @ POSES[1], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(pair.T_target_source, se_inverse(POSES[0]) @ POSES[1], rtol=0, atol=1e-12)
     for frame, pose in ((pair.target, POSES[0]), (pair.source, POSES[1])):
         color, depth = render(COLOR, pose)
         assert np.array_equal(frame.color, color) and frame.intrinsics == COLOR
@@ -76,7 +77,7 @@ def test_without_reference_there_is_no_truth_and_a_rig_gives_it(xtion):
     assert open_recording(xtion)[0].T_target_source is None
     sensors = {f"camera{i}": SensorCalibration(f"camera{i}", COLOR, 1000.0, POSES[i - 1]) for i in (1, 2)}
     pair = open_recording(xtion, rig=Rig("two", sensors))[0]
-    np.testing.assert_allclose(pair.T_target_source, inverse_rigid(POSES[0]) @ POSES[1], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(pair.T_target_source, se_inverse(POSES[0]) @ POSES[1], rtol=0, atol=1e-12)
 
 
 def spoil(path, **variables):

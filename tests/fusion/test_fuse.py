@@ -16,7 +16,7 @@ import adagmm_fusion.sequence.edges as edges_module
 import adagmm_fusion.sequence.registration as registration
 from adagmm_fusion.cli import main
 from adagmm_fusion.errors import OutputError, RecordingError
-from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame, inverse_rigid
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame
 from adagmm_fusion.meshes.glb_file import colored_glb
 from adagmm_fusion.meshes.tsdf import TSDFVolume, save_mesh
 from adagmm_fusion.recordings.opening import open_recording
@@ -28,6 +28,7 @@ from adagmm_fusion.sequence.scene import scene_of
 from adagmm_fusion.sequence.trajectory_errors import align_rigid, trajectory_errors
 from adagmm_o3d import lie
 from adagmm_o3d.errors import InputError
+from adagmm_o3d.lie import se_inverse
 
 INTRINSICS = PinholeIntrinsics(160, 120, 140.0, 140.0, 79.5, 59.5)
 POSES = [camera_pose(5.0 * i - 10.0, (0.03 * i, 0.05 * i, 1.2)) for i in range(5)]
@@ -73,7 +74,7 @@ def test_a_walk_is_fused_and_its_trajectory_is_right(walk, tmp_path, capsys):
     rows = np.loadtxt(tmp_path / "out" / "trajectory.txt")
     assert rows.shape == (5, 8)
     np.testing.assert_allclose(rows[0], (0, 0, 0, 0, 0, 0, 0, 1), rtol=0, atol=1e-9)
-    T_0_4 = inverse_rigid(POSES[0]) @ POSES[4]
+    T_0_4 = se_inverse(POSES[0]) @ POSES[4]
     np.testing.assert_allclose(rows[4, 1:4], T_0_4[:3, 3], rtol=0, atol=0.03)
     turn = Rotation.from_matrix(T_0_4[:3, :3]).inv() * Rotation.from_quat(rows[4, 4:])
     assert np.degrees(turn.magnitude()) < 1.0
@@ -160,7 +161,7 @@ def test_trajectory_errors_are_evos():
     step = lie.se_exp((0.0, 0.0, np.radians(2.0), 0.03, 0.0, 0.0))
     drifting = [true[0]]
     for a, b in pairwise(true):
-        drifting.append(drifting[-1] @ inverse_rigid(a) @ b @ step)
+        drifting.append(drifting[-1] @ se_inverse(a) @ b @ step)
     errors = trajectory_errors(true, np.array(drifting))
     assert errors.rpe_deg == pytest.approx(2.0, rel=1e-6)
     assert errors.rpe_m == pytest.approx(np.linalg.norm(step[:3, 3]), rel=1e-6)
@@ -186,7 +187,7 @@ def test_trajectories_that_cannot_be_compared(shapes):
 
 
 def edge(true, source, target, *, off=(0.0,) * 6, loop=False, reason=""):
-    T = lie.se_exp(off) @ inverse_rigid(true[target]) @ true[source]
+    T = lie.se_exp(off) @ se_inverse(true[target]) @ true[source]
     return Edge(source, target, T, 1000.0 * np.eye(6), loop, reason)
 
 
@@ -197,7 +198,7 @@ def test_a_loop_closure_takes_drift_out_and_a_wrong_one_is_dropped():
         T = lie.se_exp((0.0, 0.0, angle, 0.0, 0.0, 0.0))
         T[:3, 3] = np.cos(angle), np.sin(angle), 0.0
         true.append(T)
-    true = np.array([inverse_rigid(true[0]) @ T for T in true])
+    true = np.array([se_inverse(true[0]) @ T for T in true])
     edges = [edge(true, i + 1, i, off=(0, 0, 0.01, 0.005, 0, 0)) for i in range(23)]
     ends = [edge(true, 23, 0, loop=True), edge(true, 22, 0, loop=True), edge(true, 23, 1, loop=True)]
     wrong = edge(true, 12, 0, off=(0, 0, 1.5, 1.0, 0, 0), loop=True)
@@ -218,7 +219,7 @@ def test_frames_that_nothing_holds_together_are_left_out():
     poses, _ = optimized_poses(edges, first=2)
     assert sorted(poses) == [2, 3, 4]
     for i in (2, 3, 4):
-        np.testing.assert_allclose(poses[i], inverse_rigid(true[2]) @ true[i], rtol=0, atol=1e-5)
+        np.testing.assert_allclose(poses[i], se_inverse(true[2]) @ true[i], rtol=0, atol=1e-5)
 
 
 def test_loops_are_sought_near_by_and_far_along_the_path():
@@ -318,6 +319,7 @@ def test_a_mesh_needs_a_known_ending(tmp_path):
         save_mesh(tmp_path / "mesh.step", o3d.geometry.TriangleMesh.create_box())
 
 
+@pytest.mark.slow
 def test_a_real_walk(tmp_path, capsys):
     walk = shared_data("recordings", "redwood_open3d_5frames")
     assert main(["fuse", str(walk), "--output", str(tmp_path), "--device", "cpu"]) == 0

@@ -12,7 +12,7 @@ import adagmm_fusion.sequence.pose_graph as pose_graph
 import adagmm_fusion.sequence.registration as registration
 from adagmm_fusion.cli import main
 from adagmm_fusion.files import image_files
-from adagmm_fusion.frames.rgbd import PinholeIntrinsics, inverse_rigid
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.recordings.opening import open_recording
 from adagmm_fusion.rigs.rig import Rig, SensorCalibration, save_rig
@@ -23,10 +23,11 @@ from adagmm_fusion.sequence.pose_graph import optimized_poses
 from adagmm_fusion.sequence.scene import fixed_voxel_size, placed_edges, scene_of
 from adagmm_o3d import lie
 from adagmm_o3d.evaluation import pose_errors
+from adagmm_o3d.lie import se_inverse
 
 INTRINSICS = PinholeIntrinsics(160, 120, 140.0, 140.0, 79.5, 59.5)
 # Two cameras that look past each other's views by half.
-T_RIG_SENSOR = {"left": np.eye(4), "right": inverse_rigid(camera_pose(0.0)) @ camera_pose(-25.0, (0.0, -0.2, 1.25))}
+T_RIG_SENSOR = {"left": np.eye(4), "right": se_inverse(camera_pose(0.0)) @ camera_pose(-25.0, (0.0, -0.2, 1.25))}
 T_WORLD_RIG = [camera_pose(6.0 * i, (0.03 * i, 0.05 * i, 1.2)) for i in range(3)]
 
 
@@ -70,9 +71,9 @@ def test_a_moving_rig_is_fused_as_a_whole(tmp_path, capsys):
     left, right = (trajectory(out / f"trajectory_{name}.txt") for name in ("left", "right"))
     assert len(left) == len(right) == 3
     for i in range(3):
-        between = pose_errors(T_RIG_SENSOR["right"], inverse_rigid(left[i]) @ right[i])
+        between = pose_errors(T_RIG_SENSOR["right"], se_inverse(left[i]) @ right[i])
         assert between.rotation_deg < 0.1 and between.translation < 0.005  # the rig holds
-        moved = pose_errors(inverse_rigid(T_WORLD_RIG[0]) @ T_WORLD_RIG[i], inverse_rigid(left[0]) @ left[i])
+        moved = pose_errors(se_inverse(T_WORLD_RIG[0]) @ T_WORLD_RIG[i], se_inverse(left[0]) @ left[i])
         assert moved.rotation_deg < 1.5 and moved.translation < 0.06
 
 
@@ -103,7 +104,7 @@ def test_sensors_that_stand_still_have_one_pose_from_all_moments(tmp_path):
 
 def loop_edges(true, noise, rng):
     def edge(source, target, loop):
-        T = lie.se_exp(rng.normal(0.0, noise, 6)) @ inverse_rigid(true[target]) @ true[source]
+        T = lie.se_exp(rng.normal(0.0, noise, 6)) @ se_inverse(true[target]) @ true[source]
         return Edge(source, target, T, 1000.0 * np.eye(6), loop)
 
     n = len(true)
@@ -125,7 +126,7 @@ def test_a_large_graph_in_fragments_loses_its_drift_too(monkeypatch):
     np.testing.assert_allclose(fragments[0], np.eye(4), rtol=0, atol=1e-12)
 
     def off(poses):
-        errors = [pose_errors(inverse_rigid(true[0]) @ true[i], pose) for i, pose in poses.items()]
+        errors = [pose_errors(se_inverse(true[0]) @ true[i], pose) for i, pose in poses.items()]
         return np.sqrt(np.mean([error.translation**2 for error in errors]))
 
     assert off(whole) < off(fragments) < 0.6 * off(chained)
@@ -166,7 +167,7 @@ def test_memory_does_not_grow_with_the_recording(tmp_path, monkeypatch):
         return frame
 
     def registered(pair, source, target, settings, *, loop_closure, confirmed_only=False):
-        T = inverse_rigid(poses[target]) @ poses[source]
+        T = se_inverse(poses[target]) @ poses[source]
         return Edge(source, target, T, 1000.0 * np.eye(6), loop_closure)
 
     monkeypatch.setattr(image_files, "checked_frame", counted)

@@ -23,7 +23,10 @@ from adagmm_fusion.processes.interruption import Terminated, signals_as_interrup
 from adagmm_fusion.recordings.opening import open_recording
 from adagmm_fusion.recordings.writer import convert_recording
 
-pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="forks, limits and signals of Linux")
+pytestmark = [
+    pytest.mark.skipif(not sys.platform.startswith("linux"), reason="forks, limits and signals of Linux"),
+    pytest.mark.slow,
+]
 
 if sys.platform.startswith("linux"):
     from killable import Killable

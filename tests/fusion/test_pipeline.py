@@ -145,6 +145,7 @@ def test_the_least_overlap_is_a_share(value):
         Settings(min_overlap=value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["hololens_tof", "redwood_open3d_5frames"])
 def test_real_recordings_are_registered(name):
     recording = open_recording(shared_data("recordings", name))

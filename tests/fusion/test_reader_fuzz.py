@@ -1,7 +1,7 @@
 """The readers against damage of every kind: an error of ours or success, never another exception, a hang, or memory
 without bound.
 
-    ADAGMM_FUZZ_EXAMPLES=20000 pytest tests/test_reader_fuzz.py
+    ADAGMM_FUZZ_EXAMPLES=20000 pytest tests/fusion/test_reader_fuzz.py
 
 tries so many of each kind, other ones every time; without it the few that are tried are always the same.
 """
@@ -71,7 +71,7 @@ def bounded(memory: int | None = MEMORY_BYTES):
 
 
 needs_limits = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is limited the Linux way")
-pytestmark = needs_limits
+pytestmark = [needs_limits, pytest.mark.slow]
 
 
 # Damage. Every kind takes the files and numbers that it makes places of, and changes the files.

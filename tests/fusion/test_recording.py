@@ -8,10 +8,11 @@ import pytest
 from depth_scene import camera_pose, write_images, write_pose_file, write_redwood
 
 from adagmm_fusion.errors import RecordingError, RigError
-from adagmm_fusion.frames.rgbd import PinholeIntrinsics, inverse_rigid
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.recordings.opening import FORMATS, open_recording
 from adagmm_fusion.rigs.rig import Rig, SensorCalibration, save_rig
 from adagmm_o3d.errors import InputError
+from adagmm_o3d.lie import se_inverse
 
 INTRINSICS = PinholeIntrinsics(64, 48, 60.0, 60.0, 31.5, 23.5)
 POSES = {
@@ -53,7 +54,7 @@ def test_fixed_sensors_pair_with_the_first_one(fixed):
         recording[2]
     pair = pairs[0]
     assert (pair.source.sensor, pair.target.sensor) == ("right", "left")
-    np.testing.assert_allclose(pair.T_target_source, inverse_rigid(POSES["left"]) @ POSES["right"], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(pair.T_target_source, se_inverse(POSES["left"]) @ POSES["right"], rtol=0, atol=1e-15)
 
 
 def test_frames_with_timestamps_and_pairs_across_time(fixed):
@@ -69,7 +70,7 @@ def test_frames_with_timestamps_and_pairs_across_time(fixed):
     assert [(frames.name(i), frames.sensor(i)) for i in (0, 1)] == [("000001", "left"), ("000001", "right")]
     pair = recording[0]
     assert pair.name == "right_000000_to_left_000001" and pair.target.timestamp == 1.5
-    np.testing.assert_allclose(pair.T_target_source, inverse_rigid(POSES["left"]) @ POSES["right"], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(pair.T_target_source, se_inverse(POSES["left"]) @ POSES["right"], rtol=0, atol=1e-15)
 
 
 def test_three_sensors_make_two_pairs_a_frame(fixed):
@@ -102,7 +103,7 @@ def test_moving_rig_composes_its_pose_with_the_sensors(fixed):
     frames = "".join(f'  - {{name: "00000{i}", T_world_rig: {row(T[i])}}}\n' for i in (0, 1))
     recording = moving(fixed, frames)
     assert [p.name for p in recording] == ["000001_to_000000"]
-    expected = inverse_rigid(T[0] @ POSES["top"]) @ T[1] @ POSES["top"]
+    expected = se_inverse(T[0] @ POSES["top"]) @ T[1] @ POSES["top"]
     np.testing.assert_allclose(recording[0].T_target_source, expected, rtol=0, atol=1e-14)
     np.testing.assert_allclose(recording.frames().pose(1), T[1] @ POSES["top"], rtol=0, atol=1e-14)
 
@@ -111,7 +112,7 @@ def test_moving_rig_without_poses_knows_only_its_own_sensors(fixed):
     assert moving(fixed, '  - {name: "000000"}\n  - {name: "000001"}\n')[0].T_target_source is None
     save_rig(fixed / "rig.yaml", make_rig("left", "right"))
     (fixed / "recording.yaml").write_text(HEAD + "motion: moving\nsensors: [left, right]\n")
-    expected = inverse_rigid(POSES["left"]) @ POSES["right"]
+    expected = se_inverse(POSES["left"]) @ POSES["right"]
     np.testing.assert_allclose(open_recording(fixed)[0].T_target_source, expected, rtol=0, atol=1e-15)
 
 

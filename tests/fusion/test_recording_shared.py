@@ -9,6 +9,8 @@ from adagmm_fusion.clouds.building import cloud_from_frame, dense_cloud
 from adagmm_fusion.meshes.depth_grid import textured_grid
 from adagmm_fusion.recordings.opening import open_recording
 
+pytestmark = pytest.mark.slow
+
 # format, frames, pairs, sensors, and the largest distance [m] that the nearer quarter of the points may have at the
 # ground truth: the median over the pairs; the quarter, because some pairs overlap by a third only.
 RECORDINGS = {

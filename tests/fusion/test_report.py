@@ -195,3 +195,4 @@ def test_the_mean_of_poses_lies_in_the_middle():
             poses.append(center @ offset)
     np.testing.assert_allclose(mean_pose(poses), center, rtol=0, atol=1e-12)
     assert mean_pose([]) is None
+    assert mean_pose([np.eye(4), np.diag([-1.0, -1.0, 1.0, 1.0])]) is None  # half a turn apart: no rotation is nearest

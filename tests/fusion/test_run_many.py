@@ -9,6 +9,8 @@ from shared_data import ROOT
 from adagmm_fusion.cli import main
 from adagmm_fusion.commands.run_many import recordings_in
 
+pytestmark = pytest.mark.slow
+
 SHIPPED = ROOT / "recordings" / "two_kinects"
 
 

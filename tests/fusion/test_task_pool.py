@@ -87,11 +87,13 @@ def test_workers_keep_to_one_core_each():
     assert os.sched_getaffinity(0) == before
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_loses_nothing(tmp_path):
     tasks = {str(i): (tmp_path, str(i)) for i in range(2)}
     assert dict(run_tasks(die_once, tasks, workers=2)) == {name: name for name in tasks}
 
 
+@pytest.mark.slow
 def test_a_task_that_kills_its_workers_is_given_up():
     results = dict(run_tasks(die_always, {str(i): i for i in range(5)}, workers=1))
     assert results.pop("3").reason == "its worker died 3 times, exit code -9"
@@ -127,6 +129,7 @@ def cluster():
         yield local
 
 
+@pytest.mark.slow
 def test_a_cluster_survives_the_death_of_a_worker_in_mid_run(cluster):
     tasks = {str(i): i for i in range(40)}
     results, killed = {}, None
@@ -138,11 +141,13 @@ def test_a_cluster_survives_the_death_of_a_worker_in_mid_run(cluster):
     assert results == {key: i * i for key, i in tasks.items()}
 
 
+@pytest.mark.slow
 def test_an_error_on_a_cluster_is_a_failure_in_one_line(cluster):
     results = dict(run_tasks(refuse, {"a": 1}, scheduler=cluster.scheduler_address))
     assert results["a"].reason.startswith("ValueError: no to 1")
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
     pytest.importorskip("distributed", reason="needs the [distributed] extra")
     monkeypatch.setattr("adagmm_fusion.processes.task_pool.CONNECT_SECONDS", 1)

@@ -12,12 +12,13 @@ from scipy.ndimage import map_coordinates
 
 import adagmm_fusion.meshes.texturing as texturing_module
 from adagmm_fusion.errors import OutputError
-from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame, inverse_rigid
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame
 from adagmm_fusion.meshes.joined_grids import joined_surface, textured_moment
 from adagmm_fusion.meshes.textured_mesh import save_textured_mesh
 from adagmm_fusion.meshes.texturing import Texturing
 from adagmm_fusion.meshes.tsdf import TSDFVolume
 from adagmm_o3d.errors import InputError
+from adagmm_o3d.lie import se_inverse
 
 INTRINSICS = PinholeIntrinsics(320, 240, 280.0, 280.0, 159.5, 119.5)
 POSES = [camera_pose(-14.0, (0.0, 0.5, 1.2)), camera_pose(14.0, (0.1, -0.6, 1.3))]
@@ -179,7 +180,7 @@ def test_too_many_frames_and_none():
 
 
 def test_the_world_may_be_any(moment):
-    moved = [(frame_at(pose), inverse_rigid(POSES[0]) @ pose) for pose in POSES]
+    moved = [(frame_at(pose), se_inverse(POSES[0]) @ pose) for pose in POSES]
     mesh = textured_moment(moved, max_depth_m=5.0)
     points, colors = centers(mesh)
     points = points @ POSES[0][:3, :3].T + POSES[0][:3, 3]

@@ -1,4 +1,4 @@
-"""Kernels are compiled once for a machine, said to be, and run side by side on stretches of the work."""
+"""Kernels are compiled once for a machine, said to be, and run side by side on ranges of the work."""
 
 import os
 import subprocess
@@ -40,7 +40,7 @@ def test_what_is_not_compiled_by_numba_needs_no_compiling():
 
 @pytest.mark.parametrize("threads", [0, 1, 2, 7])
 @pytest.mark.parametrize("count", [1, 2, 3, 10])
-def test_stretches_cover_everything_once(count, threads):
+def test_ranges_cover_everything_once(count, threads):
     items = list(range(count))
     run = []
     run_in_ranges(len, lambda first, last: run.append(items[first:last]), count, threads)
@@ -51,7 +51,7 @@ def test_stretches_cover_everything_once(count, threads):
 
 
 @pytest.mark.skipif(numba.get_num_threads() == 1, reason="Numba has one thread here")
-def test_stretches_are_shared_by_threads_and_what_goes_wrong_on_another_is_heard():
+def test_ranges_are_shared_by_threads_and_what_goes_wrong_on_another_is_heard():
     both = threading.Barrier(2, timeout=60)
 
     def run(first, last):
@@ -63,7 +63,7 @@ def test_stretches_are_shared_by_threads_and_what_goes_wrong_on_another_is_heard
         run_in_ranges(len, run, 2, 2)
 
 
-def test_an_interrupt_leaves_the_other_stretches_alone():
+def test_an_interrupt_leaves_the_other_ranges_alone():
     run = []
 
     def interrupted(first, last):
@@ -77,5 +77,5 @@ def test_an_interrupt_leaves_the_other_stretches_alone():
 
 def test_what_is_not_compiled_yet_is_compiled_on_this_thread():
     run = []
-    run_in_ranges(numba.njit(lambda x: x), lambda *stretch: run.append((threading.current_thread(), *stretch)), 8, 2)
+    run_in_ranges(numba.njit(lambda x: x), lambda *part: run.append((threading.current_thread(), *part)), 8, 2)
     assert run == [(threading.main_thread(), 0, 8)]

@@ -24,6 +24,8 @@ from adagmm_o3d.kernels.cuda import (
 )
 from adagmm_o3d.kernels.cuda.clouds import inspecting, packing, summing, surface
 
+pytestmark = pytest.mark.slow
+
 CAPABILITIES = [(7, 5), (8, 0), (9, 0)]
 # Nothing may be left to local memory, be it an array or a register that did not fit.
 MOST_LOCAL_BYTES = 0
@@ -69,6 +71,7 @@ KERNELS = [
     (inspecting.inspect_given, WIDE),
     (inspecting.inspect_bare, (BOXES, BOXES, TABLE, array(uint8, 1))),
     (inspecting.inspect_bare, (TABLE, TABLE, TABLE, array(uint8, 1))),
+    (inspecting.fill_empty, (TABLE, float64)),
     (summing.bounds, (TABLE, TABLE)),
     (summing.moments, (TABLE, VECTOR, CENTRE, CENTRE, float64, TABLE)),
     (packing.morton_codes, (TABLE, CENTRE, float64, CENTRE, float64, array(uint32, 1))),
@@ -87,7 +90,8 @@ KERNELS = [
 NAMES = ["move isotropic", "move", "adaptive isotropic", "adaptive", "convolved isotropic", "convolved"]
 NAMES += ["columns isotropic", "columns", "nearest", "reduce adaptive isotropic", "reduce adaptive"]
 NAMES += ["reduce convolved", "reduce columns", "reduce nearest", "total"]
-NAMES += ["inspect float32", "inspect float64", "inspect bare float32", "inspect bare float64", "bounds", "moments"]
+NAMES += ["inspect float32", "inspect float64", "inspect bare float32", "inspect bare float64", "fill empty"]
+NAMES += ["bounds", "moments"]
 NAMES += ["codes", "gather", "pack precisions isotropic", "pack precisions", "pack covariances isotropic"]
 NAMES += [
     "pack covariances",

@@ -9,15 +9,15 @@ import reference
 from mixtures import random_points_and_covariances, random_pose
 
 from adagmm_o3d.em.expectation import MOST_UNMATCHED
+from adagmm_o3d.em.runs import Limits, Start, run_starts
+from adagmm_o3d.em.unmatched import COMPARED_SIGMA, uniform_density
 from adagmm_o3d.kernels.cpu.acceleration import LOG_SIGMA, STATE, UNMATCHED_SHARE, accelerate, empty_memory, forget
 from adagmm_o3d.kernels.cpu.culling import GROUP, TILE
 from adagmm_o3d.kernels.cpu.farthest_points import farthest_points
 from adagmm_o3d.kernels.cpu.nearest_other import nearest_other_sq
 from adagmm_o3d.mixtures.merging import COARSE_BITS, MergedMixture
-from adagmm_o3d.search.runs import Limits, Start, run_starts
 
 FREE = {2: [2, 3, 4], 3: [0, 1, 2, 3, 4, 5]}
-VOLUME = 20.0
 # As far as float32 tells; what the search leaves out by itself has a test of its own.
 EVERY = 40.0
 LIMITS = Limits(floor=1e-4, least_unmatched=0.02, relative_rmse=1e-24, bits=EVERY)
@@ -72,19 +72,31 @@ class Problem:
         self.source, self.target = (Side(rng, n, dimension, isotropic) for n in sizes)
         self.pose = random_pose(rng, dimension, angle=0.5, distance=0.3)
 
-    def run(self, sigma=0.2, unmatched=0.3, fastest=0.5, iterations=1, follow=1.0, limits=LIMITS, poses=None):
+    def run(
+        self,
+        sigma=0.2,
+        unmatched=0.3,
+        fastest=0.5,
+        iterations=1,
+        follow=1.0,
+        limits=LIMITS,
+        poses=None,
+        compared_at=COMPARED_SIGMA,
+    ):
         starts = []
         for pose in [self.pose] if poses is None else poses:
             whole = np.eye(4)
             whole[: self.dimension, : self.dimension] = pose[:-1, :-1]
             whole[: self.dimension, 3] = pose[:-1, -1]
             starts.append(Start(whole, sigma, unmatched, fastest, iterations, follow))
-        return run_starts(self.source.mixture, self.target.mixture, starts, limits=limits, volume=VOLUME, level=0)
+        return run_starts(
+            self.source.mixture, self.target.mixture, starts, limits=limits, level=0, compared_at=compared_at
+        )
 
-    def sums(self, pose, sigma, unmatched):
+    def sums(self, pose, sigma, unmatched, compared_at=None):
         """The naive pass, and the density of the points without a partner."""
         R, t = pose[:-1, :-1], pose[:-1, -1]
-        uniform = (2.0 * math.pi) ** (0.5 * self.dimension) / VOLUME * unmatched / (1.0 - unmatched)
+        uniform = uniform_density(unmatched, compared_at or sigma, self.dimension)
         y, S = reference.move(self.source.points, R, t), reference.turn(self.source.at(sigma), R)
         nothing = np.zeros(len(self.target.points))
         expected = reference.posterior_sums(
@@ -103,8 +115,8 @@ class Problem:
     def matched(self, sums, uniform):
         return float(self.source.weights @ (sums.densities / (sums.densities + uniform)))
 
-    def likelihood(self, pose, sigma, unmatched):
-        sums, uniform = self.sums(pose, sigma, unmatched)
+    def likelihood(self, pose, sigma, unmatched, compared_at=COMPARED_SIGMA):
+        sums, uniform = self.sums(pose, sigma, unmatched, compared_at)
         rows = self.source.weights @ np.log1p(sums.densities / uniform)
         return rows + self.target.weights @ np.log1p(sums.column_densities / uniform)
 

@@ -5,7 +5,8 @@ import pytest
 from mixtures import random_points_and_covariances
 
 from adagmm_o3d.em.m_step import FREE
-from adagmm_o3d.kernels.cpu.scores import CURVATURE, POINT_SUMS, SCORE, SENSITIVITY, score_sums
+from adagmm_o3d.kernels.cpu.scores import score_sums
+from adagmm_o3d.kernels.layout import CURVATURE, POINT_SUMS, SCORE, SENSITIVITY
 from adagmm_o3d.lie import se_exp
 
 EVERYTHING = 1e12

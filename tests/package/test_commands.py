@@ -10,6 +10,7 @@ from shared_data import ROOT
 
 import adagmm_bench.cli
 import adagmm_fusion.cli
+import adagmm_fusion.commands.simulate
 from adagmm_fusion.commands.rerun_arguments import add_rerun_arguments
 
 SHIPPED = str(ROOT / "recordings" / "two_kinects")
@@ -91,7 +92,7 @@ def test_a_fault_of_our_own_is_not_taken_for_a_missing_library(monkeypatch):
     def broken(_):
         raise ImportError("cannot import name 'x' from 'adagmm_fusion'")
 
-    monkeypatch.setattr(adagmm_fusion.cli, "_simulate", broken)
+    monkeypatch.setattr(adagmm_fusion.commands.simulate, "run", broken)
     with pytest.raises(ImportError, match="cannot import name"):
         adagmm_fusion.cli.main(["simulate", "somewhere"])
 

@@ -93,7 +93,7 @@ def test_clouds(function, source, target, pose, error, message):
     check(lambda: function(source, target, 0.1, pose), error, message)
 
 
-@pytest.mark.parametrize("distance", [0.0, -1.0, np.nan, np.inf])
+@pytest.mark.parametrize("distance", [0.0, -1.0, np.nan, -np.inf])
 def test_distances(distance):
     message = f"expected a finite number > 0, got {distance:g}"
     for function in FITS[1:]:

@@ -27,6 +27,8 @@ NAN_ROW = np.where(np.arange(N)[:, None] == 4, np.nan, POINTS[3])
 LINE = np.linspace(0.0, 1.0, N)[:, None] * np.array([1.0, 2.0, 3.0])
 SCALED = np.diag([2.0, 2.0, 2.0, 1.0])
 MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])
+SLIGHTLY_SCALED = np.diag([1.006, 1.006, 1.006, 1.0])
+SHEARED = np.eye(4) + 0.02 * np.eye(4, k=1) * [[1.0], [0.0], [0.0], [0.0]]
 
 
 def at(index, value, array=UNIT):
@@ -52,13 +54,14 @@ POINT_CASES = [
     (at(7, -np.inf, POINTS[3]), InputError, "points: 1 of 60 points are not finite, the first at index 7"),
 ]
 COVARIANCE_CASES = [
+    (np.zeros((N, 3, 3)), InputError, "covariances: all 60 are zero; leave them out if nothing is known"),
     (
-        np.zeros((N, 3, 3)),
+        -UNIT,
         InputError,
-        "covariances: not positive definite at index 0 (60 in all); add a small multiple",
+        "covariances: not positive semidefinite at index 0 (60 in all); no covariance has a negative eigenvalue",
     ),
-    (-UNIT, InputError, "covariances: not positive definite at index 0 (60 in all)"),
-    (at(9, np.diag([1.0, 1.0, 0.0])), InputError, "covariances: not positive definite at index 9 (1 in all)"),
+    (at(9, np.diag([1.0, 1.0, -1e-4])), InputError, "covariances: not positive semidefinite at index 9 (1 in all)"),
+    (at(9, -np.eye(3)), InputError, "covariances: not positive semidefinite at index 9 (1 in all)"),
     (at((9, 0, 1), 0.5), InputError, "covariances: not symmetric at index 9 (1 in all)"),
     (
         np.full((N, 3, 3), np.nan),
@@ -106,6 +109,12 @@ INIT_CASES = [
     ),
     (SCALED, InputError, "init: expected a rotation, got determinant 8 and RᵀR − I up to 3; see project_to_rotation()"),
     (MIRROR, InputError, "init: expected a rotation, got determinant -1 and RᵀR − I up to 0"),
+    (
+        SLIGHTLY_SCALED,
+        InputError,
+        "init: expected a rotation, got determinant 1.01811 and RᵀR − I up to 0.012; see project_to_rotation()",
+    ),
+    (SHEARED, InputError, "init: expected a rotation, got determinant 1 and RᵀR − I up to 0.02"),
 ]
 DEVICE_CASES = [
     ("tpu", DeviceError, "device: expected "),
@@ -118,9 +127,9 @@ SETTING_CASES = [
     ("criteria", {"max_iteration": 30}, InputTypeError, "criteria: expected Open3D's ICPConvergenceCriteria, got dict"),
     (
         "criteria",
-        reg.ICPConvergenceCriteria(max_iteration=0),
+        reg.ICPConvergenceCriteria(max_iteration=-1),
         InputError,
-        "criteria.max_iteration: expected at least 1, got 0",
+        "criteria.max_iteration: expected at least 0, got -1",
     ),
     (
         "criteria",
@@ -285,14 +294,26 @@ def test_covariances_of_clouds(make, side, covariances, error, message):
     check(lambda: registration_adaptive_gmm(**arguments, max_correspondence_distance=0.1), error, f"{side}.{message}")
 
 
-def test_covariances_that_do_not_match_the_points():
+def test_covariances_and_normals_that_do_not_match_the_points():
     good = legacy(POINTS[3])
     check(
         lambda: registration_adaptive_gmm(legacy(POINTS[3], UNIT[:7]), good, 0.1),
         InputError,
         "source.covariances: expected one for each of the 60 points, got 7",
     )
+    good.normals = o3d.utility.Vector3dVector(POINTS[3][:7])
+    check(
+        lambda: registration_adaptive_gmm(good, legacy(POINTS[3]), 0.1),
+        InputError,
+        "source.normals: expected one for each of the 60 points, got 7",
+    )
     flat = tensor(POINTS[3])
+    flat.point.normals = core.Tensor(np.ones((N, 2), np.float32))
+    check(
+        lambda: registration_adaptive_gmm(tensor(POINTS[3]), flat, 0.1),
+        InputError,
+        "target.normals: expected shape (60, 3), got (60, 2)",
+    )
     flat.point.covariances = core.Tensor(np.ones((N, 3), np.float32))
     for voxel_size in (-1.0, 0.1):
         check(
@@ -355,11 +376,15 @@ def test_tensor_clouds_without_positions_or_of_another_dtype():
         (0.0, InputError, "expected a finite number > 0, got 0"),
         (-0.1, InputError, "expected a finite number > 0, got -0.1"),
         (np.nan, InputError, "expected a finite number > 0, got nan"),
-        (np.inf, InputError, "expected a finite number > 0, got inf"),
+        (-np.inf, InputError, "expected a finite number > 0, got -inf"),
         (None, InputTypeError, "expected a real number, got NoneType"),
         ("0.1", InputTypeError, "expected a real number, got str"),
         (True, InputTypeError, "expected a real number, got bool"),
-        ([0.1, 0.05], InputTypeError, "expected a real number, got list"),
+        (
+            [0.1, 0.05],
+            InputTypeError,
+            "expected a real number, got list; for several sizes see multi_scale_registration_adaptive_gmm()",
+        ),
     ],
 )
 def test_distances(make, distance, error, message):
@@ -391,6 +416,27 @@ def test_init_of_clouds(make, init, error, message):
     if isinstance(init, np.ndarray):
         start = core.Tensor(init)
         check(lambda: registration_adaptive_gmm(*clouds, 0.1, init_source_to_target=start), error, message)
+
+
+@pytest.mark.parametrize(
+    ("epsilon", "message"), [(0.0, "expected a finite number > 0, got 0"), (1.5, "expected at most 1, got 1.5")]
+)
+def test_the_thickness_of_surfaces(epsilon, message):
+    method = reg.TransformationEstimationForGeneralizedICP(epsilon=epsilon)
+    check(
+        lambda: registration_adaptive_gmm(legacy(POINTS[3]), legacy(POINTS[3]), 0.1, np.eye(4), method),
+        InputError,
+        f"estimation_method.epsilon: {message}",
+    )
+
+
+def test_no_iterations_where_no_pose_is_named():
+    criteria = reg.ICPConvergenceCriteria(max_iteration=0)
+    check(
+        lambda: register_points(POINTS[3], POINTS[3], init="global", criteria=criteria),
+        InputError,
+        "criteria.max_iteration: expected at least 1 as init='global' names no pose, got 0",
+    )
 
 
 def test_init_given_twice():

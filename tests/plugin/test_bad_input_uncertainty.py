@@ -7,6 +7,7 @@ from adagmm_o3d.errors import AdaGMMError, DegenerateError, InputError, InputTyp
 from adagmm_o3d.uncertainty import (
     KinectUncertainty,
     estimate_kinect_covariances,
+    estimate_lidar_covariances,
     estimate_nguyen_covariances,
     estimate_surface_covariances,
     mark_outliers,
@@ -174,6 +175,46 @@ def test_focal_length(focal_length, error, message):
     ],
 )
 def test_surface(call, error, message):
+    check(call, error, message)
+
+
+@pytest.mark.parametrize(
+    "call, error, message",
+    [
+        (
+            lambda: estimate_lidar_covariances(POINTS[:, :2]),
+            InputError,
+            "points: expected shape (N, 3), got (4, 2)",
+        ),
+        (
+            lambda: estimate_lidar_covariances(np.full((2, 3), np.nan)),
+            InputError,
+            "points: expected finite numbers, got nan at index (0, 0); drop such entries first",
+        ),
+        (
+            lambda: estimate_lidar_covariances([[1.0, 0.0, 0.0], [0.0, 0.0, 2500.0]]),
+            InputError,
+            "points: expected metres, at most 1000 from the sensor, got 2500 at row 1; divide by the unit first",
+        ),
+        (lambda: estimate_lidar_covariances(POINTS, origin=[0.0]), InputError, "origin: expected shape (3,), got (1,)"),
+        (
+            lambda: estimate_lidar_covariances(POINTS, range_noise=-0.1),
+            InputError,
+            "range_noise: expected a finite number >= 0, got -0.1",
+        ),
+        (
+            lambda: estimate_lidar_covariances(POINTS, beam_noise="1"),
+            InputTypeError,
+            "beam_noise: expected a real number, got str",
+        ),
+        (
+            lambda: estimate_lidar_covariances(POINTS, extent=0.0),
+            InputError,
+            "extent: expected a finite number > 0, got 0",
+        ),
+    ],
+)
+def test_lidar(call, error, message):
     check(call, error, message)
 
 

@@ -98,12 +98,13 @@ def test_errors_by_hand():
     assert errors.translation == pytest.approx(0.5, rel=1e-14)
 
 
-def test_a_rotation_rounded_to_four_digits_is_no_error():
-    rng = np.random.default_rng(0)
-    pose = random_pose(rng, 3)
-    rounded = np.round(pose, 4)
-    assert rotation_error_deg(rounded, rounded) == pytest.approx(0.0, abs=1e-13)
-    assert rotation_error_deg(pose, rounded) < 0.02
+@pytest.mark.parametrize("digits", [4, 3])
+def test_a_rotation_rounded_to_a_few_digits_is_no_error(digits):
+    for seed in range(100):
+        pose = random_pose(np.random.default_rng(seed), 3)
+        rounded = np.round(pose, digits)
+        assert rotation_error_deg(rounded, rounded) == pytest.approx(0.0, abs=1e-13)
+        assert rotation_error_deg(pose, rounded) < 100.0 * 10.0**-digits
 
 
 # Between two clouds

@@ -5,14 +5,21 @@ import pytest
 from shapes import body_with_head, bumpy, move, turn
 from shared_data import shared_data
 
-from adagmm_o3d.em.expectation import OPEN_VOLUME
 from adagmm_o3d.evaluation import pose_errors
 from adagmm_o3d.lie import se_exp, so_exp
 from adagmm_o3d.mixtures.mixture import make_mixture
 from adagmm_o3d.mixtures.normalisation import normalise
-from adagmm_o3d.search.rotations import is_ambiguous, rotation_grid, search_globally
+from adagmm_o3d.search.find import AMBIGUOUS_LIKELIHOOD
+from adagmm_o3d.search.find import is_ambiguous as clearly_ambiguous
+from adagmm_o3d.search.levels import Levels
+from adagmm_o3d.search.rotations import rotation_grid, search_globally
+from adagmm_o3d.search.schedule import SCHEDULE
 
 FLAG = 1e6
+
+
+def is_ambiguous(ends):
+    return clearly_ambiguous([(end, end.log_likelihood) for end in ends], AMBIGUOUS_LIKELIHOOD)
 
 
 def search(source, target, source_covariances=None, target_covariances=None):
@@ -21,7 +28,7 @@ def search(source, target, source_covariances=None, target_covariances=None):
     moving, fixed, normalisation = normalise(
         make_mixture("source", source, source_covariances), make_mixture("target", target, target_covariances)
     )
-    ends = search_globally(moving, fixed, volume=OPEN_VOLUME[dimension])
+    ends = search_globally(Levels(moving, fixed, SCHEDULE))
     keep = [*range(dimension), 3]
     return ends, normalisation.pose_out(ends[0].pose)[np.ix_(keep, keep)]
 

@@ -79,6 +79,7 @@ def test_the_end_is_a_fixed_point_of_the_interior_point_m_step(arguments, rule):
     assert np.abs(homogeneous(*moved) - result.transformations[0]).max() > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("dimension", "isotropic", "n", "rule"),
     [

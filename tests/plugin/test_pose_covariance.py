@@ -9,9 +9,10 @@ import pytest
 from mixtures import random_points_and_covariances, random_pose
 from shapes import bumpy, move, turn
 
-from adagmm_o3d.em.expectation import OPEN_VOLUME, PosteriorExpectation, uniform_density
+from adagmm_o3d.em.expectation import PosteriorExpectation
 from adagmm_o3d.em.loop import expectation_maximisation
 from adagmm_o3d.em.m_step import FREE
+from adagmm_o3d.em.unmatched import uniform_density
 from adagmm_o3d.lie import se_exp, se_log
 from adagmm_o3d.mixtures.mixture import make_mixture
 from adagmm_o3d.mixtures.normalisation import normalise
@@ -42,10 +43,9 @@ class Registered:
         self.free = FREE[dimension]
         self.truth = self.normalisation.pose_in(lifted(truth))
         self.pairs = PairLoop(self.source, self.target)
-        volume = OPEN_VOLUME[dimension]
-        em = PosteriorExpectation(self.pairs, dimension, 0.01, unmatched=0.1, mutuality=mutuality, volume=volume)
+        em = PosteriorExpectation(self.pairs, dimension, 0.01, unmatched=0.1, mutuality=mutuality)
         outcome = expectation_maximisation(em, self.truth, Criteria(1e-6, 300), dimension)
-        self.fit = Fit(outcome.pose, em.scale.target, em.unmatched, volume, mutuality)
+        self.fit = Fit(outcome.pose, em.scale.target, em.unmatched, mutuality)
 
     def moments(self):
         return score_moments(self.pairs, self.source, self.target, self.fit)
@@ -79,7 +79,7 @@ def naive_scores(source, target, fit, delta):
     distance_sq = ((y[:, None] - target.points[None]) * v).sum(axis=-1)
     c = np.exp(-0.5 * distance_sq) / np.sqrt(np.linalg.det(s))
     wx, wy = target.weights / target.weights.sum(), source.weights / source.weights.sum()
-    uniform = uniform_density(fit.unmatched, source.dimension, fit.volume)
+    uniform = uniform_density(fit.unmatched, fit.sigma, source.dimension)
     rows, columns = (c @ wx + uniform) ** (1.0 - fit.mutuality), (wy @ c + uniform) ** fit.mutuality
     weights = c * wy[:, None] * wx[None] / rows[:, None] / columns[None]
     return weights[..., None] * np.concatenate([np.cross(y[:, None], v), v], axis=-1)
@@ -249,6 +249,6 @@ def test_clouds_that_do_not_meet_have_no_covariance():
     registered = Registered(*sampled_twice(rng, 200, 3, noise=0.01))
     away = registered.fit.pose.copy()
     away[:3, 3] += 100.0
-    fit = Fit(away, 1e-3, 0.5, OPEN_VOLUME[3], 0.5)
+    fit = Fit(away, 1e-3, 0.5, 0.5)
     uncertainty = pose_uncertainty(registered.pairs, registered.source, registered.target, fit)
     assert uncertainty.covariance is None and len(uncertainty.unobservable) == 6

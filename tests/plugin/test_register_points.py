@@ -146,6 +146,46 @@ def test_the_first_pose_is_the_init(dimension, rule):
 
 
 @dimensions
+@rules
+def test_an_init_of_three_digits_is_made_exact(dimension, rule):
+    motion = Motion(dimension)
+    method = TransformationEstimationForAdaptiveGMM(sigma_rule=rule)
+    result = motion.register(init=np.round(motion.T, 3), estimation_method=method)
+    first = result.transformations[0]
+    np.testing.assert_allclose(first[:-1, :-1] @ first[:-1, :-1].T, np.eye(dimension), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(first, motion.T, rtol=0, atol=1e-3)
+
+
+@dimensions
+@rules
+@pytest.mark.parametrize("given", [True, False])
+def test_no_iterations_leave_the_start_as_it_is(dimension, rule, given):
+    motion = Motion(dimension)
+    init = motion.T if given else None
+    method = TransformationEstimationForAdaptiveGMM(sigma_rule=rule, start="centroids")
+    criteria = o3d.pipelines.registration.ICPConvergenceCriteria(max_iteration=0)
+    seen = []
+    result = motion.register(
+        init=init, estimation_method=method, criteria=criteria, callback_after_iteration=seen.append
+    )
+    np.testing.assert_array_equal(result.transformation, motion.T if given else np.eye(dimension + 1))
+    np.testing.assert_array_equal(result.transformations, result.transformation[None])
+    assert (result.iterations, result.stop_reason, result.sigma, seen) == (0, StopReason.MAX_ITERATION, 0.0, [])
+    assert result.row_weights.shape == (SIZE[dimension],) and (result.overlap > 0.8) == given
+    assert result.pose_covariance is None and not result.trustworthy
+
+
+def test_a_far_start_is_left_where_it_is_as_well():
+    motion = Motion(3)
+    init = np.eye(4)
+    init[:3, 3] = 1e9
+    criteria = o3d.pipelines.registration.ICPConvergenceCriteria(max_iteration=0)
+    result = motion.register(init=init, criteria=criteria)
+    np.testing.assert_array_equal(result.transformation, init)
+    assert result.overlap == 0.0
+
+
+@dimensions
 def test_too_few_iterations_are_admitted(dimension):
     criteria = o3d.pipelines.registration.ICPConvergenceCriteria(max_iteration=1)
     result = Motion(dimension).register(criteria=criteria)
@@ -167,6 +207,38 @@ def test_points_with_a_covariance_that_is_not_finite_are_left_out_and_counted(di
         np.delete(motion.target_covariances, 5, axis=0),
     )
     np.testing.assert_array_equal(result.transformation, without.transformation)
+
+
+@dimensions
+def test_singular_covariances_are_given_the_thickness_of_a_surface_and_counted(dimension):
+    motion = Motion(dimension, isotropic=False)
+    rng = np.random.default_rng(8)
+    given, thick = [], []
+    for n in (len(motion.source), len(motion.target)):
+        axes = np.linalg.qr(rng.normal(size=(n, dimension, dimension)))[0]
+        variances = np.ones((n, dimension))
+        variances[:20, 0], variances[20:30, 0] = 0.0, -1e-6
+        given.append((axes * variances[:, None, :]) @ axes.transpose(0, 2, 1))
+        thick.append((axes * np.maximum(variances, 1e-3)[:, None, :]) @ axes.transpose(0, 2, 1))
+    result = register_points(motion.source, motion.target, *given)
+    expected = register_points(motion.source, motion.target, *thick)
+    assert (result.regularised_source, result.regularised_target) == (30, 30)
+    assert (expected.regularised_source, expected.regularised_target) == (0, 0)
+    np.testing.assert_allclose(result.transformation, expected.transformation, rtol=0, atol=1e-6)
+
+
+@dimensions
+@pytest.mark.parametrize("isotropic", [True, False])
+def test_a_covariance_that_is_zero_becomes_as_large_as_most_are(dimension, isotropic):
+    motion = Motion(dimension, isotropic=isotropic)
+    filled = motion.source_covariances.copy()
+    largest = np.linalg.eigvalsh(filled)[:, -1]
+    filled[:3] = np.median(largest[3:]) * np.eye(dimension)
+    motion.source_covariances[:3] = 0.0
+    result = motion.register()
+    motion.source_covariances = filled
+    assert (result.regularised_source, result.regularised_target) == (3, 0)
+    np.testing.assert_allclose(result.transformation, motion.register().transformation, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32, ">f8", np.int64])
@@ -202,6 +274,7 @@ def test_what_is_asked_for_later_is_that_of_the_clouds_as_they_were(dimension, r
     assert result.row_weights is result.row_weights  # found once
 
 
+@pytest.mark.slow
 def test_kinect_scenes():
     errors = []
     for path in sorted(shared_data("kinect_pairs").glob("scene_*.npz")):

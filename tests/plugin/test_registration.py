@@ -1,5 +1,6 @@
 """`registration_adaptive_gmm` in place of Open3D's ICP and GICP: legacy clouds."""
 
+import logging
 import os
 import subprocess
 import sys
@@ -12,12 +13,14 @@ from mixtures import random_pose
 from shapes import bumpy_ellipsoid, move
 
 from adagmm_o3d import (
+    DegenerateError,
     PointRegistrationResult,
     TransformationEstimationForAdaptiveGMM,
     estimate_surface_covariances,
     registration_adaptive_gmm,
 )
 from adagmm_o3d.evaluation import pose_errors
+from adagmm_o3d.options import _say_what_stands_for
 
 reg = o3d.pipelines.registration
 
@@ -163,8 +166,44 @@ def test_default_criteria_converge(pair):
 @pytest.mark.parametrize(
     "criteria", [reg.ICPConvergenceCriteria(), o3d.t.pipelines.registration.ICPConvergenceCriteria()]
 )
-def test_open3ds_own_criteria_converge(pair, criteria):
-    assert registration_adaptive_gmm(pair.source, pair.target, 0.05, criteria=criteria).details.converged
+def test_open3ds_own_criteria_stand_for_the_default(pair, criteria):
+    expected = registration_adaptive_gmm(pair.source, pair.target, 0.05)
+    assert bits(registration_adaptive_gmm(pair.source, pair.target, 0.05, criteria=criteria)) == bits(expected)
+
+
+def test_a_criterion_counts_as_soon_as_one_is_chosen(pair):
+    def run(**chosen):
+        criteria = reg.ICPConvergenceCriteria(**chosen)
+        return registration_adaptive_gmm(pair.source, pair.target, 0.05, criteria=criteria).details
+
+    default = registration_adaptive_gmm(pair.source, pair.target, 0.05).details
+    for most in range(1, 40):
+        details = run(max_iteration=most)
+        assert details.iterations <= most and (details.converged or details.iterations == most)
+        assert len(details.transformations) == len(details.sigmas) + 1 == details.iterations + 1
+        # what is reported begins somewhere on the way of the search, which is the same, and ends at the pose
+        assert (default.transformations == details.transformations[0]).all(axis=(1, 2)).any()
+        np.testing.assert_array_equal(details.transformations[-1], details.transformation)
+    assert run(relative_rmse=1e-9, max_iteration=2000).iterations > default.iterations
+
+
+@pytest.mark.parametrize("init", [None, "given"])
+def test_no_iterations_give_the_start_evaluated(pair, init):
+    start = np.eye(4) if init is None else pair.T
+    criteria = reg.ICPConvergenceCriteria(max_iteration=0)
+    result = registration_adaptive_gmm(pair.source, pair.target, 0.05, None if init is None else start, None, criteria)
+    theirs = reg.registration_icp(pair.source, pair.target, 0.05, start, criteria=criteria)
+    np.testing.assert_array_equal(result.transformation, theirs.transformation)
+    np.testing.assert_array_equal(result.transformation, start)
+    assert result.fitness == theirs.fitness and result.details.iterations == 0
+    assert result.details.warnings == ("not converged: max_iteration reached",)
+
+
+def test_without_a_limit_every_point_counts(pair):
+    result = registration_adaptive_gmm(pair.source, pair.target, np.inf)
+    expected = reg.evaluate_registration(pair.source, pair.target, np.inf, result.transformation)
+    assert result.fitness == expected.fitness == 1.0
+    np.testing.assert_allclose(result.inlier_rmse, expected.inlier_rmse, rtol=1e-12, atol=0)
 
 
 @pytest.mark.parametrize(
@@ -185,6 +224,65 @@ def test_open3ds_estimation_methods_stand_for_the_default(pair, method):
     assert bits(result) == bits(expected)
 
 
+@pytest.fixture
+def log(caplog):
+    """What is said once is said again."""
+    _say_what_stands_for.cache_clear()
+    caplog.set_level(logging.INFO, logger="adagmm_o3d")
+    return caplog
+
+
+tensor_kernel = o3d.t.pipelines.registration.robust_kernel
+
+
+@pytest.mark.parametrize(
+    ("method", "level", "said"),
+    [
+        (reg.TransformationEstimationPointToPlane(), "INFO", ""),
+        (reg.TransformationEstimationPointToPlane(reg.L2Loss()), "INFO", ""),
+        (reg.TransformationEstimationForGeneralizedICP(), "INFO", ""),
+        (o3d.t.pipelines.registration.TransformationEstimationPointToPlane(), "INFO", ""),
+        (reg.TransformationEstimationForColoredICP(), "WARNING", "; colours are not looked at"),
+        (
+            reg.TransformationEstimationPointToPlane(reg.TukeyLoss(k=0.1)),
+            "WARNING",
+            "; the robust kernel TukeyLoss is not needed, as points without a partner have no weight",
+        ),
+        (
+            o3d.t.pipelines.registration.TransformationEstimationPointToPlane(
+                tensor_kernel.RobustKernel(tensor_kernel.RobustKernelMethod.HuberLoss, 0.1)
+            ),
+            "WARNING",
+            "; the robust kernel HuberLoss is not needed, as points without a partner have no weight",
+        ),
+    ],
+)
+def test_what_stands_for_open3ds_method_is_said_once(pair, log, method, level, said):
+    for _ in range(2):
+        registration_adaptive_gmm(pair.source, pair.target, 0.05, np.eye(4), method)
+    name = type(method).__name__
+    assert [(r.levelname, r.getMessage()) for r in log.records] == [
+        (level, f"estimation_method: {name} stands for TransformationEstimationForAdaptiveGMM(){said}")
+    ]
+
+
+def test_our_own_options_are_no_news(pair, log):
+    for method in (None, TransformationEstimationForAdaptiveGMM()):
+        registration_adaptive_gmm(pair.source, pair.target, 0.05, np.eye(4), method)
+    assert log.records == []
+
+
+def test_the_thickness_of_gicp_is_that_of_the_surface(pair):
+    method = reg.TransformationEstimationForGeneralizedICP(epsilon=0.05)
+    result = registration_adaptive_gmm(pair.source, pair.target, 0.05, np.eye(4), method)
+    given = [
+        legacy_cloud(np.asarray(c.points), covariances=estimate_surface_covariances(c.points, c.normals, epsilon=0.05))
+        for c in (pair.source, pair.target)
+    ]
+    assert bits(result) == bits(registration_adaptive_gmm(*given, 0.05))
+    assert bits(result) != bits(registration_adaptive_gmm(pair.source, pair.target, 0.05))
+
+
 def test_init_is_where_it_starts(pair):
     init = random_pose(np.random.default_rng(3), 3, angle=0.05, distance=0.02) @ pair.T
     result = registration_adaptive_gmm(pair.source, pair.target, 0.05, init)
@@ -193,11 +291,16 @@ def test_init_is_where_it_starts(pair):
     assert errors.rotation_deg < 1.0 and errors.translation < 0.01
 
 
-def test_an_init_with_the_digits_of_a_text_file_is_taken(pair):
-    rounded = np.round(pair.T, 5)
+@pytest.mark.parametrize("digits", [5, 3])
+def test_an_init_with_the_digits_of_a_text_file_is_taken(pair, digits):
+    rounded = np.round(pair.T, digits)
+    expected = registration_adaptive_gmm(pair.source, pair.target, 0.05, pair.T)
     result = registration_adaptive_gmm(pair.source, pair.target, 0.05, rounded)
-    rotation = result.transformation[:3, :3]
-    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), rtol=0, atol=1e-9)
+    for transformation in (result.transformation, result.details.transformations[0]):
+        rotation = transformation[:3, :3]
+        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(result.details.transformations[0], pair.T, rtol=0, atol=10.0**-digits)
+    np.testing.assert_allclose(result.transformation, expected.transformation, rtol=0, atol=1e-3)
 
 
 def test_covariances_are_the_clouds_own(pair):
@@ -211,13 +314,68 @@ def test_covariances_are_the_clouds_own(pair):
     assert bits(given) != bits(without)
 
 
-def test_covariances_that_are_missing_are_those_of_the_surface(pair):
-    without = registration_adaptive_gmm(pair.source, pair.target, 0.05)
-    clouds = [
-        legacy_cloud(np.asarray(c.points), covariances=estimate_surface_covariances(np.asarray(c.points)))
-        for c in (pair.source, pair.target)
-    ]
-    assert bits(registration_adaptive_gmm(*clouds, 0.05)) == bits(without)
+@pytest.mark.parametrize("with_normals", [True, False])
+def test_covariances_that_are_missing_are_those_of_the_surface(pair, with_normals):
+    bare, given = [], []
+    for cloud in (pair.source, pair.target):
+        points, normals = np.asarray(cloud.points), np.asarray(cloud.normals) if with_normals else None
+        bare.append(legacy_cloud(points, normals))
+        given.append(legacy_cloud(points, covariances=estimate_surface_covariances(points, normals)))
+    assert bits(registration_adaptive_gmm(*given, 0.05)) == bits(registration_adaptive_gmm(*bare, 0.05))
+
+
+def test_normals_may_have_any_length_and_sign(pair):
+    signs = np.where(np.random.default_rng(6).random(len(pair.source.points)) < 0.5, -2.0, 0.5)[:, None]
+    scaled = legacy_cloud(np.asarray(pair.source.points), signs * np.asarray(pair.source.normals))
+    for voxel_size in (-1.0, 0.2):
+        expected = registration_adaptive_gmm(pair.source, pair.target, 0.05, voxel_size=voxel_size)
+        result = registration_adaptive_gmm(scaled, pair.target, 0.05, voxel_size=voxel_size)
+        np.testing.assert_allclose(result.transformation, expected.transformation, rtol=0, atol=1e-6)
+
+
+def test_neighbours_speak_for_points_without_a_normal(pair):
+    points, normals = np.asarray(pair.source.points), np.array(pair.source.normals)
+    covariances = estimate_surface_covariances(points, normals)
+    covariances[:40] = estimate_surface_covariances(points)[:40]
+    normals[:20], normals[20:40, 1] = 0.0, np.nan
+    result = registration_adaptive_gmm(legacy_cloud(points, normals), pair.target, 0.05)
+    expected = registration_adaptive_gmm(legacy_cloud(points, covariances=covariances), pair.target, 0.05)
+    assert bits(result) == bits(expected)
+    no_normals = registration_adaptive_gmm(legacy_cloud(points, 0.0 * normals), pair.target, 0.05)
+    assert bits(no_normals) == bits(registration_adaptive_gmm(legacy_cloud(points), pair.target, 0.05))
+
+
+def test_three_points_with_normals_are_enough():
+    points = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.1], [0.0, 0.7, -0.2]])
+    normals = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, 0.0, 0.0]])
+    cloud = legacy_cloud(points, normals)
+    result = registration_adaptive_gmm(cloud, cloud, 0.05)
+    np.testing.assert_allclose(result.transformation, np.eye(4), rtol=0, atol=1e-3)
+    with pytest.raises(DegenerateError, match=r"^points: expected more than 3 to estimate normals from, got 3; pass"):
+        registration_adaptive_gmm(legacy_cloud(points), cloud, 0.05)
+
+
+@pytest.mark.parametrize("dtype", [None, o3d.core.float32, o3d.core.float64])
+@pytest.mark.parametrize("voxel_size", [-1.0, 0.15])
+def test_open3ds_covariances_of_flat_faces_are_taken(voxel_size, dtype):
+    o3d.utility.random.seed(0)
+    box = o3d.geometry.TriangleMesh.create_box(1.0, 2.0, 3.0)
+    source, target = box.sample_points_uniformly(3000), box.sample_points_uniformly(3000)
+    T = random_pose(np.random.default_rng(0), 3, angle=0.2, distance=0.15)
+    target.transform(T)
+    for cloud in (source, target):
+        cloud.estimate_covariances()
+    clouds = [source, target]
+    if dtype is not None:
+        for k, cloud in enumerate((source, target)):
+            clouds[k] = o3d.t.geometry.PointCloud.from_legacy(cloud, dtype)
+            clouds[k].point.covariances = o3d.core.Tensor(np.asarray(cloud.covariances), dtype)
+    result = registration_adaptive_gmm(*clouds, 0.1, np.eye(4), voxel_size=voxel_size)
+    least = 1000 if voxel_size < 0 else 200
+    assert result.details.regularised_source > least and result.details.regularised_target > least
+    assert result.details.trustworthy
+    errors = pose_errors(T, result.details.transformation)
+    assert errors.rotation_deg < 0.02 and errors.translation < 1e-3
 
 
 def test_one_factor_on_all_covariances_changes_nothing(pair):
@@ -246,10 +404,11 @@ def test_the_clouds_are_not_modified(pair):
 
 
 def test_voxels_thin_both_clouds_first(pair):
-    thinned = [c.voxel_down_sample(0.2) for c in (pair.source, pair.target)]
+    bare = [legacy_cloud(np.asarray(c.points)) for c in (pair.source, pair.target)]
+    thinned = [c.voxel_down_sample(0.2) for c in bare]
     assert len(thinned[0].points) < 300
     expected = registration_adaptive_gmm(*thinned, 0.05)
-    result = registration_adaptive_gmm(pair.source, pair.target, 0.05, voxel_size=0.2)
+    result = registration_adaptive_gmm(*bare, 0.05, voxel_size=0.2)
     assert bits(result) == bits(expected)
     assert len(result.details.row_weights) == len(thinned[0].points)
 
@@ -283,6 +442,7 @@ def test_the_same_call_gives_the_same_bits(pair):
     assert bits(first) == bits(second)
 
 
+@pytest.mark.slow
 def test_the_same_bits_on_one_thread_and_on_two():
     script = (
         "import sys, hashlib; sys.path[:0] = sys.argv[1:]; import test_registration as t\n"

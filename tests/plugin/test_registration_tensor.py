@@ -6,7 +6,7 @@ import pytest
 from mixtures import random_pose
 from test_registration import CALLBACK_KEYS, OPEN3D_KEYS, Pair, bits
 
-from adagmm_o3d import estimate_surface_covariances, registration_adaptive_gmm
+from adagmm_o3d import StopReason, estimate_surface_covariances, registration_adaptive_gmm
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.evaluation import pose_errors
 
@@ -86,10 +86,41 @@ def test_the_result_is_open3ds_and_counts_as_open3d_does(pair):
     assert errors.rotation_deg < 1.0 and errors.translation < 0.01
 
 
-def test_too_few_iterations_do_not_converge(pair):
-    criteria = treg.ICPConvergenceCriteria(1e-6, 1e-6, 1)
-    result = registration_adaptive_gmm(pair.source, pair.target, 0.05, criteria=criteria)
+@pytest.mark.parametrize("most", [1, 2, 3])
+def test_too_few_iterations_do_not_converge(pair, most):
+    bare = [o3d.t.geometry.PointCloud(cloud.point.positions) for cloud in (pair.source, pair.target)]
+    criteria, seen = treg.ICPConvergenceCriteria(1e-6, 1e-6, most), []
+    result = registration_adaptive_gmm(*bare, 0.05, criteria=criteria, callback_after_iteration=seen.append)
     assert result.converged is False and not result.details.trustworthy
+    assert result.num_iterations == result.details.iterations == len(seen) == most
+    errors = pose_errors(pair.T, result.transformation.numpy())
+    assert errors.rotation_deg < 3.0 and errors.translation < 0.04
+
+
+@pytest.mark.parametrize("init", [None, "given"])
+def test_no_iterations_give_the_start_evaluated(pair, init):
+    start = np.eye(4) if init is None else np.round(pair.T, 3)
+    criteria, seen = treg.ICPConvergenceCriteria(1e-6, 1e-6, 0), []
+    arguments = (pair.source, pair.target, 0.05, None if init is None else core.Tensor(start))
+    result = registration_adaptive_gmm(*arguments, criteria=criteria, callback_after_iteration=seen.append)
+    theirs = treg.icp(pair.source, pair.target, 0.05, core.Tensor(start), criteria=criteria)
+    np.testing.assert_array_equal(result.transformation.numpy(), theirs.transformation.numpy())
+    np.testing.assert_array_equal(result.transformation.numpy(), start)
+    assert (result.fitness, result.num_iterations, result.converged) == (theirs.fitness, 0, False)
+    details = result.details
+    assert (details.iterations, len(seen), details.stop_reason) == (0, 0, StopReason.MAX_ITERATION)
+    assert details.transformations.shape == (1, 4, 4) and not details.trustworthy
+    assert details.overlap > 0.9 if init else details.overlap < 0.9
+
+
+def test_without_a_limit_every_point_counts(pair):
+    result = registration_adaptive_gmm(pair.source, pair.target, np.inf)
+    # what Open3D answers to a distance that no two points have
+    expected = treg.evaluate_registration(pair.source, pair.target, 10.0, result.transformation)
+    assert result.fitness == expected.fitness == 1.0
+    np.testing.assert_allclose(result.inlier_rmse, expected.inlier_rmse, rtol=1e-5, atol=0)
+    np.testing.assert_array_equal(result.correspondence_set.numpy(), expected.correspondence_set.numpy())
+    assert result.correspondence_set.dtype == expected.correspondence_set.dtype
 
 
 def test_tensor_and_legacy_clouds_agree_bit_by_bit():
@@ -124,7 +155,8 @@ def test_covariances_are_the_clouds_own_and_thinned_with_it(pair):
             clouds[-1].point.covariances = core.Tensor(factor * covariances, cloud.point.positions.dtype)
         return registration_adaptive_gmm(*clouds, 0.05, voxel_size=voxel_size)
 
-    without = registration_adaptive_gmm(pair.source, pair.target, 0.05)
+    bare = [o3d.t.geometry.PointCloud(cloud.point.positions) for cloud in (pair.source, pair.target)]
+    without = registration_adaptive_gmm(*bare, 0.05)
     np.testing.assert_allclose(run(1.0, -1.0).transformation.numpy(), without.transformation.numpy(), rtol=0, atol=1e-5)
     np.testing.assert_allclose(run(2e-4, -1.0).details.sigma, run(1.0, -1.0).details.sigma / 2e-4, rtol=1e-3, atol=0)
     thinned = run(1.0, 0.2)

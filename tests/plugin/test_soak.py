@@ -1,6 +1,6 @@
 """Very many registrations in one process: memory stays flat.
 
-    ADAGMM_SOAK=2000 pytest tests/test_soak.py
+    ADAGMM_SOAK=2000 pytest tests/plugin/test_soak.py
 
 does so many; without it so many that 50 kB lost by each would show.
 """
@@ -23,7 +23,10 @@ POINTS = 400
 # Allocators keep what they have had; a leak grows with every registration.
 ALLOWED_GROWTH_MB = 8.0
 
-pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="resident memory is read the Linux way")
+pytestmark = [
+    pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="resident memory is read the Linux way"),
+    pytest.mark.slow,
+]
 
 
 def resident_mb() -> float:

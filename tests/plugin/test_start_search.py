@@ -8,12 +8,13 @@ from mixtures import random_points_and_covariances
 from shapes import body_with_head, move
 
 from adagmm_o3d import register_points
+from adagmm_o3d.em.runs import Limits, Start, run_starts
+from adagmm_o3d.em.unmatched import AREA
 from adagmm_o3d.evaluation import pose_errors
 from adagmm_o3d.lie import se_exp, so_exp
 from adagmm_o3d.mixtures.merging import sample
 from adagmm_o3d.mixtures.mixture import make_mixture
 from adagmm_o3d.mixtures.normalisation import normalise
-from adagmm_o3d.search.runs import Limits, Start, run_starts
 
 dimensions = pytest.mark.parametrize("dimension", [2, 3])
 
@@ -53,7 +54,8 @@ def test_turns_by_sixty_degrees_about_every_axis_are_found():
 @dimensions
 @pytest.mark.parametrize("unmatched", [0.05, 0.4])
 def test_ends_are_compared_by_the_likelihood_of_both_clouds(dimension, unmatched):
-    """The mean log density of each cloud under the other's mixture and a uniform one, at the end's own σ and share."""
+    """The mean log density of each cloud under the other's mixture and a uniform one, each by its own σ and share;
+    those without a partner as dense as at the σ at which all are compared."""
     rng = np.random.default_rng(dimension)
     source, target, _ = normalise(
         *(
@@ -61,15 +63,20 @@ def test_ends_are_compared_by_the_likelihood_of_both_clouds(dimension, unmatched
             for name, n in (("source", 60), ("target", 80))
         )
     )
-    volume, sigma, pose = 7.0, 0.03, np.eye(4)
+    sigma, compared_at, pose = 0.03, 0.01, np.eye(4)
     start = Start(pose, sigma, unmatched, fastest=1.0, iterations=0, follow=0.0)
     limits = Limits(floor=1e-3, least_unmatched=0.05, relative_rmse=1e-3)
-    (end,) = run_starts(sample(source, 99), sample(target, 99), [start], limits=limits, volume=volume, level=0)
+    (end,) = run_starts(
+        sample(source, 99), sample(target, 99), [start], limits=limits, level=0, compared_at=compared_at
+    )
     assert (end.sigma, end.unmatched, end.iterations) == (sigma, unmatched, ())
     free = slice(0, dimension)
     offsets = (source.points[:, None] - target.points[None])[..., free]
     both = sigma * (source.covariances[:, None] + target.covariances[None])[..., free, free]
     distances_sq = np.einsum("mni,mnij,mnj->mn", offsets, np.linalg.inv(both), offsets)
     densities = np.exp(-0.5 * distances_sq) / np.sqrt((2.0 * math.pi) ** dimension * np.linalg.det(both))
-    expected = sum(np.log((1.0 - unmatched) * densities.mean(axis=axis) + unmatched / volume).mean() for axis in (0, 1))
-    np.testing.assert_allclose(end.log_likelihood - 2.0 * math.log(volume), expected, rtol=1e-4, atol=1e-4)
+    nowhere = 1.0 / (AREA[dimension] * math.sqrt(4.0 * math.pi * compared_at))
+    expected = sum(
+        np.log((1.0 - unmatched) * densities.mean(axis=axis) + unmatched * nowhere).mean() for axis in (0, 1)
+    )
+    np.testing.assert_allclose(end.log_likelihood + 2.0 * math.log(nowhere), expected, rtol=1e-4, atol=1e-4)

@@ -136,6 +136,7 @@ def test_a_pool_of_forked_workers_gets_the_same_bits():
     assert out.split() == ["True"]
 
 
+@pytest.mark.slow
 def test_a_pool_of_spawned_workers_gets_the_same_bits(tmp_path):
     out = run(
         """
@@ -165,6 +166,7 @@ def test_a_child_forked_before_first_use_keeps_its_threads():
     assert out.split() == ["2"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals are sent differently on Windows")
 def test_ctrl_c_ends_a_long_registration():
     body = """

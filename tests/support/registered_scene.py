@@ -57,6 +57,8 @@ def known_estimate(
         transformations=transformations,
         dropped_source=0,
         dropped_target=0,
+        regularised_source=0,
+        regularised_target=0,
         ambiguous=False,
         doubts=(),
         find_partners=Deferred(lambda: Partners(0.7, np.linspace(0.0, 1.0, len(source.points)))),

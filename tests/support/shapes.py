@@ -4,12 +4,20 @@ import numpy as np
 
 
 def bumpy_ellipsoid(rng, n):
-    """(n, 3) points on a closed surface of radius about one, and their unit normals (those of the smooth ellipsoid)."""
+    """(n, 3) points on a closed surface of radius about one, and their unit normals."""
     u = rng.normal(size=(n, 3))
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     axes = np.array([1.0, 0.7, 0.45])
-    bumps = 1.0 + 0.25 * np.sin(3.0 * np.arctan2(u[:, 1], u[:, 0]) + 1.0) * (1.0 - u[:, 2] ** 2) + 0.2 * u[:, 0] ** 3
-    normals = u / axes
+    x, y, z = u.T
+    phase = 3.0 * np.arctan2(y, x) + 1.0
+    bumps = 1.0 + 0.25 * np.sin(phase) * (1.0 - z**2) + 0.2 * x**3
+    turning = 0.75 * np.cos(phase) * (1.0 - z**2) / (x**2 + y**2)
+    slopes = np.stack([0.6 * x**2 - turning * y, turning * x, -0.5 * np.sin(phase) * z], axis=1)
+    # two steps on the sphere, and where they lead on the surface
+    steps = np.cross(u, np.eye(3)[np.abs(u).argmin(axis=1)])
+    steps = np.stack([steps, np.cross(u, steps)])
+    along = (steps * bumps[:, None] + u * (steps * slopes).sum(axis=2, keepdims=True)) * axes
+    normals = np.cross(*along)
     return u * axes * bumps[:, None], normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 

@@ -2,7 +2,10 @@
 
 import ctypes.util
 import os
+import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import pytest
@@ -10,6 +13,8 @@ from rerun.experimental import ViewerClient
 
 from adagmm_fusion.rerun_log import picture
 
+T = TypeVar("T")
+PATIENCE_SECONDS = 120.0
 VULKAN_FOLDERS = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d")
 
 
@@ -26,14 +31,33 @@ def vulkan_missing() -> str:
 needs_viewer = pytest.mark.skipif(bool(vulkan_missing()), reason=vulkan_missing())
 
 
+def eventually(look: Callable[[], T], *, seconds: float = PATIENCE_SECONDS, pause: float = 0.1) -> T:
+    """What `look` returns once none of its assertions fails; the viewer shows what it was told when it gets to it.
+
+    Raises
+    ------
+    AssertionError  the last one, if they still fail after `seconds`; between two looks it waits for `pause` seconds.
+    """
+    give_up = time.monotonic() + seconds
+    while True:
+        try:
+            return look()
+        except AssertionError:
+            if time.monotonic() > give_up:
+                raise
+        time.sleep(pause)
+
+
 def screenshot(viewer: ViewerClient, view_name: str | None = None) -> np.ndarray:
-    """(H, W, 3) uint8 RGB of the window, or of the view of that name."""
-    return picture.screenshot(viewer, None if view_name is None else view_id_of(viewer, view_name))
+    """(H, W, 3) uint8 RGB of the window, or of the view of that name, once it is there and has come to rest."""
+    view_id = None if view_name is None else eventually(lambda: view_id_of(viewer, view_name))
+    return picture.screenshot(viewer, view_id)
 
 
 def view_id_of(viewer: ViewerClient, name: str) -> str:
-    (view,) = [view for view in viewer.get_state().views if view.name == name]
-    return view.view_id
+    found = [view.view_id for view in viewer.get_state().views if view.name == name]
+    assert len(found) == 1, f"{len(found)} views are called {name!r}"
+    return found[0]
 
 
 def complaints(viewer: ViewerClient) -> list[str]:

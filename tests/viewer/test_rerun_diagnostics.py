@@ -9,6 +9,9 @@ import rerun as rr
 from registered_scene import INTRINSICS, known_estimate, room_clouds, room_pair
 
 from adagmm_fusion.frames.rgbd import RGBDFrame
+from adagmm_fusion.pairs.partners import partner_distance
+from adagmm_fusion.pairs.pipeline import register_pair
+from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.rerun_log.clouds import log_points, point_radius, shaded_colors
 from adagmm_fusion.rerun_log.diagnostics import CONTRADICTED, HIDDEN, PARTNER, diagnose, weight_shares
 from adagmm_fusion.rerun_log.ellipsoids import chosen_points
@@ -75,7 +78,14 @@ def test_outside_the_image_or_behind_the_camera_is_hidden():
 def test_the_room_at_the_truth_and_off_it():
     source, target = room_clouds()
     at, off = (
-        diagnose(source, target, known_estimate(off=(0.0, x, -x)), target_frame=room_pair().target) for x in (0.0, 0.2)
+        diagnose(
+            source,
+            target,
+            known_estimate(off=(0.0, x, -x)),
+            target_frame=room_pair().target,
+            partner_distance=0.144,
+        )
+        for x in (0.0, 0.2)
     )
     assert np.nanmedian(at.residual_mm) < 2.0 < 20.0 < np.nanmedian(off.residual_mm)
     assert np.mean(at.overlap == CONTRADICTED) < 0.02 < 0.1 < np.mean(off.overlap == CONTRADICTED)
@@ -147,3 +157,15 @@ def test_radius_follows_the_spacing_and_shading_needs_normals():
     assert len(np.unique(shaded_colors(cloud, (200, 100, 50)), axis=0)) == 1
     cloud.normals = o3d.utility.Vector3dVector()
     assert (shaded_colors(cloud, (200, 100, 50)) == (200, 100, 50)).all()
+
+
+def test_what_is_shown_has_the_partners_that_the_registration_is_judged_by():
+    source, target = points_at(2.0), points_at(2.0)
+    spacing = 0.4 / 19
+    assert partner_distance(target) == pytest.approx(2.0 * spacing, rel=1e-9, abs=0.0)
+    assert partner_distance(target, 0.3) == 0.3
+    assert diagnose(source, target, still(source)).partner_distance == partner_distance(target)
+    estimate = register_pair(room_pair(), Settings(device="cpu", start="geometry", target_points=1500))
+    shown = diagnose(estimate.source_cloud, estimate.target_cloud, estimate.estimate)
+    assert shown.partner_distance == estimate.evaluation.partner_distance_m
+    assert np.mean(shown.overlap == PARTNER) == pytest.approx(estimate.evaluation.overlap, rel=0.0, abs=1e-9)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from registered_scene import ITERATIONS, known_estimate, room_clouds, room_mesh, room_pair
-from viewer import complaints, needs_viewer, screenshot
+from viewer import complaints, eventually, needs_viewer, screenshot
 
 from adagmm_fusion.rerun_log import (
     Eye,
@@ -20,7 +20,7 @@ from adagmm_fusion.rerun_log import (
 )
 from adagmm_fusion.rerun_log.picture import headless_viewer, main, show_page
 
-pytestmark = needs_viewer
+pytestmark = [needs_viewer, pytest.mark.slow]
 RESULT = "Result: cameras truth green, estimate orange, start blue"
 BEFORE, AFTER = "Before: target blue, source orange", "After"
 
@@ -34,10 +34,34 @@ def save(path, log, **blueprint):
     return path
 
 
-def resolved_pose(viewer, entity: str) -> np.ndarray:
-    edges = viewer.get_transform_graph(include_transforms=True)["edges"]
-    (edge,) = [e for e in edges if e["child"] == f"tf#/{entity}"]
-    return np.array(edge["source"]["parent_from_child"])
+def assert_pose(viewer, entity: str, expected: np.ndarray, *, rtol: float = 1e-5, atol: float = 1e-6) -> None:
+    """The viewer comes to place the entity there."""
+
+    def look() -> None:
+        edges = viewer.get_transform_graph(include_transforms=True)["edges"]
+        placed = [e["source"]["parent_from_child"] for e in edges if e["child"] == f"tf#/{entity}"]
+        assert len(placed) == 1, f"{entity}: {len(placed)} transforms"
+        np.testing.assert_allclose(np.array(placed[0]), expected, rtol=rtol, atol=atol)
+
+    eventually(look)
+
+
+def assert_time(viewer, timeline: str, time: int | None = None) -> None:
+    """The viewer comes to show one recording, on that timeline and at that time."""
+
+    def look() -> None:
+        (shown,) = [(r.current_timeline, r.current_time) for r in viewer.get_state().recordings]
+        assert shown == (timeline, shown[1] if time is None else time)
+
+    eventually(look)
+
+
+def go_to(viewer, timeline: str, time: int, source_pose: np.ndarray | None = None) -> None:
+    """Move the viewer to a time and wait until it is there, with the source where it is then."""
+    viewer.set_time(timeline, sequence=time, play_state="paused")
+    assert_time(viewer, timeline, time)
+    if source_pose is not None:
+        assert_pose(viewer, "world/source", source_pose)
 
 
 def difference(a: np.ndarray, b: np.ndarray) -> float:
@@ -68,8 +92,7 @@ def pair_viewer(tmp_path_factory):
 
 def test_opens_on_the_last_iteration_without_a_complaint(pair_viewer):
     screenshot(pair_viewer)
-    (recording,) = pair_viewer.get_state().recordings
-    assert (recording.current_timeline, recording.current_time) == ("iteration", ITERATIONS)
+    assert_time(pair_viewer, "iteration", ITERATIONS)
     assert complaints(pair_viewer) == []
 
 
@@ -77,31 +100,37 @@ def test_opens_on_the_last_iteration_without_a_complaint(pair_viewer):
 def test_poses_are_the_estimates(pair_viewer, iteration):
     pair_viewer.set_time("iteration", sequence=iteration, play_state="paused")
     expected = known_estimate().transformations[iteration]
-    np.testing.assert_allclose(resolved_pose(pair_viewer, "world/source"), expected, rtol=1e-5, atol=1e-6)
-    np.testing.assert_allclose(resolved_pose(pair_viewer, "world/target"), np.eye(4), rtol=0, atol=1e-9)
-    truth = room_pair().T_target_source
-    np.testing.assert_allclose(resolved_pose(pair_viewer, "world/truth/source"), truth, rtol=1e-5, atol=1e-6)
+    assert_pose(pair_viewer, "world/source", expected)
+    assert_pose(pair_viewer, "world/target", np.eye(4), rtol=0, atol=1e-9)
+    assert_pose(pair_viewer, "world/truth/source", room_pair().T_target_source)
 
 
 def test_scrubbing_moves_the_source_and_before_stays(pair_viewer):
-    pair_viewer.set_time("iteration", sequence=0, play_state="paused")
-    before, after_0 = screenshot(pair_viewer, BEFORE), screenshot(pair_viewer, AFTER)
-    pair_viewer.set_time("iteration", sequence=ITERATIONS, play_state="paused")
-    after = screenshot(pair_viewer, AFTER)
-    moved = difference(after_0, after)
-    assert moved > 0.1 and difference(before, after) > 0.1
-    assert difference(before, screenshot(pair_viewer, BEFORE)) < 0.005
-    assert difference(before, after_0) < 0.5 * moved  # the same scene, but the edges of its points fall elsewhere
+    def look() -> None:
+        go_to(pair_viewer, "iteration", 0, known_estimate().transformations[0])
+        before, after_0 = screenshot(pair_viewer, BEFORE), screenshot(pair_viewer, AFTER)
+        go_to(pair_viewer, "iteration", ITERATIONS, known_estimate().transformations[ITERATIONS])
+        after = screenshot(pair_viewer, AFTER)
+        moved = difference(after_0, after)
+        assert moved > 0.1 and difference(before, after) > 0.1
+        assert difference(before, screenshot(pair_viewer, BEFORE)) < 0.005
+        assert difference(before, after_0) < 0.5 * moved  # the same scene, but the edges of its points fall elsewhere
+
+    eventually(look)
     assert complaints(pair_viewer) == []
 
 
 def test_texture_is_visible_and_the_clouds_have_their_two_colors(pair_viewer):
-    pair_viewer.set_time("iteration", sequence=ITERATIONS, play_state="paused")
-    assert colorfulness(screenshot(pair_viewer, RESULT)) >= 30
-    after = screenshot(pair_viewer, AFTER).astype(int)
-    red, green, blue = np.moveaxis(after, 2, 0)
-    assert np.mean((red > blue + 60) & (red > green + 20)) > 0.02  # orange
-    assert np.mean((blue > red + 60) & (blue > green + 20)) > 0.02  # blue
+    go_to(pair_viewer, "iteration", ITERATIONS, known_estimate().transformations[ITERATIONS])
+
+    def look() -> None:
+        assert colorfulness(screenshot(pair_viewer, RESULT)) >= 30
+        after = screenshot(pair_viewer, AFTER).astype(int)
+        red, green, blue = np.moveaxis(after, 2, 0)
+        assert np.mean((red > blue + 60) & (red > green + 20)) > 0.02  # orange
+        assert np.mean((blue > red + 60) & (blue > green + 20)) > 0.02  # blue
+
+    eventually(look)
 
 
 def test_why_page(tmp_path):
@@ -111,12 +140,16 @@ def test_why_page(tmp_path):
     with headless_viewer(path) as viewer:
         show_page(viewer, "Why")
         screenshot(viewer)
-        weights = screenshot(viewer, "Who pulls: share of the pair weights")
-        residuals = screenshot(viewer, "How far off: residual")
-        overlap = screenshot(viewer, "Who has a partner")
+
+        def look() -> None:
+            weights = screenshot(viewer, "Who pulls: share of the pair weights")
+            residuals = screenshot(viewer, "How far off: residual")
+            overlap = screenshot(viewer, "Who has a partner")
+            for a, b in ((weights, residuals), (residuals, overlap), (weights, overlap)):
+                assert difference(a, b) > 0.02
+
+        eventually(look)
         assert complaints(viewer) == []
-    for a, b in ((weights, residuals), (residuals, overlap), (weights, overlap)):
-        assert difference(a, b) > 0.02
 
 
 def test_many_pairs(tmp_path):
@@ -133,28 +166,28 @@ def test_many_pairs(tmp_path):
     path = save(tmp_path / "many.rrd", log, many_pairs=True)
     with headless_viewer(path) as viewer:
         screenshot(viewer)
-        (recording,) = viewer.get_state().recordings
-        assert recording.current_timeline == "frame"
+        assert_time(viewer, "frame")
         assert complaints(viewer) == []
         show_page(viewer, "Pair")
         screenshot(viewer)
-        pictures, images = [], []
-        for frame in (0, 1, 2):
-            viewer.set_time("frame", sequence=frame, play_state="paused")
-            pictures.append(screenshot(viewer, AFTER))
-            images.append(screenshot(viewer, "Target colour"))
-            if frame < 2:
-                expected = known_estimate(frame, off=(0.5 * frame, 0.0, 0.0)).transformation
-                np.testing.assert_allclose(resolved_pose(viewer, "world/source"), expected, rtol=1e-5, atol=1e-6)
+
+        def look() -> None:
+            pictures, images = [], []
+            for frame in (0, 1, 2):
+                expected = known_estimate(frame, off=(0.5 * frame, 0.0, 0.0)).transformation if frame < 2 else None
+                go_to(viewer, "frame", frame, expected)
+                pictures.append(screenshot(viewer, AFTER))
+                images.append(screenshot(viewer, "Target colour"))
+            assert difference(pictures[0], pictures[1]) > 0.05
+            for shown in (pictures, images):
+                assert np.mean(np.ptp(shown[1], axis=2) > 60) > 0.05
+                assert np.mean(np.ptp(shown[2], axis=2) > 60) < 0.002  # nothing of the pair before is left
+
+        eventually(look)
         viewer.set_time("em_step", sequence=ITERATIONS + 1 + 3, play_state="paused")
         screenshot(viewer, AFTER)  # only a painted frame knows the transforms of a timeline that is new to the viewer
-        expected = known_estimate(1, off=(0.5, 0.0, 0.0)).transformations[3]
-        np.testing.assert_allclose(resolved_pose(viewer, "world/source"), expected, rtol=1e-5, atol=1e-6)
+        assert_pose(viewer, "world/source", known_estimate(1, off=(0.5, 0.0, 0.0)).transformations[3])
         assert complaints(viewer) == []
-    assert difference(pictures[0], pictures[1]) > 0.05
-    for shown in (pictures, images):
-        assert np.mean(np.ptp(shown[1], axis=2) > 60) > 0.05
-        assert np.mean(np.ptp(shown[2], axis=2) > 60) < 0.002  # nothing of the pair before is left
 
 
 def test_picture_command(tmp_path, capfd):

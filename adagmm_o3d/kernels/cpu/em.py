@@ -123,7 +123,9 @@ def one_pass(pose, sigma, uniform, source, target, kind, work, total):
 
 
 @njit(inline="always", **FLAGS)
-def run_start(pose, start, source, target, kind, world, bounds, relative_rmse, accelerated, bits, end, history):
+def run_start(
+    pose, start, source, target, kind, world, compared, bounds, relative_rmse, accelerated, bits, end, history
+):
     """Run one start, serially; see `run_em`."""
     floor, least, greatest = bounds
     planar, isotropic = kind
@@ -157,7 +159,7 @@ def run_start(pose, start, source, target, kind, world, bounds, relative_rmse, a
         ended = still or iteration == int(start[ITERATIONS])
         for i in range(12):
             pose32[i] = pose[i]
-        uniform = world * unmatched / (1.0 - unmatched)
+        uniform = world / math.sqrt(sigma) * unmatched / (1.0 - unmatched)
         one_pass(pose32, np.float32(sigma), uniform, source, target, (planar, isotropic, ended), work, total)
         if ended:
             break
@@ -187,7 +189,8 @@ def run_start(pose, start, source, target, kind, world, bounds, relative_rmse, a
         unmatched = min(max(unmatched + taken[UNMATCHED_SHARE], least), greatest)
         sigma = new
         iteration += 1
-    # The densities are relative to the uniform part, of which each end has its own.
+    # The densities are relative to those of points without a partner, of which each end has its own share.
+    uniform = world / math.sqrt(compared if compared > 0.0 else sigma) * unmatched / (1.0 - unmatched)
     likelihood = 2.0 * math.log(unmatched)
     weights, packed = source[3], target[0]
     for i in range(m):
@@ -205,10 +208,12 @@ def _build(stamp):
     """The kernel that is called from Python; `stamp` keeps its cache fresh."""
 
     @njit(**SERIAL_KERNEL_FLAGS)
-    def run_em(poses, starts, source, target, kind, world, bounds, relative_rmse, accelerated, bits, ends, history):
+    def run_em(
+        poses, starts, source, target, kind, world, compared, bounds, relative_rmse, accelerated, bits, ends, history
+    ):
         """Run every start; `poses` (S, 12) move, `ends` (S, END_COLUMNS) tell where they came to.
 
-        kind : (planar, isotropic).   world : density of a uniform mixture of all points.   bounds : (floor of σ, least,
+        kind : (planar, isotropic).   world, compared : see `em.unmatched`.   bounds : (floor of σ, least,
         greatest unmatched share).   relative_rmse : a start is done when ‖δ‖² is below this share of σ and σ has
         settled.   accelerated : see `acceleration`.   bits : how far a weight may fall before its pair is left out.
         history : (S, most iterations, HISTORY_COLUMNS).
@@ -216,7 +221,7 @@ def _build(stamp):
         _ = stamp
         for s in range(starts.shape[0]):
             run_start(
-                poses[s], starts[s], source, target, kind, world, bounds, relative_rmse, accelerated, bits,
+                poses[s], starts[s], source, target, kind, world, compared, bounds, relative_rmse, accelerated, bits,
                 ends[s], history[s],
             )  # fmt: skip
 

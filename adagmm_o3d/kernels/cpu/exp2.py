@@ -6,10 +6,10 @@ from numba import njit, types
 from numba.extending import intrinsic
 
 LOWEST = np.float32(-126.0)
-# So large that the last bit of a sum with it stands for one; the bias of float32's exponents is in it already.
+# A whole number plus this has its value in the sum's last bits, with 127, the bias of float32's exponents, added.
 SHIFT = np.float32(1.5 * 2**23 + 127)
-# The polynomial of degree five with a constant of one whose largest relative error on [-1/2, 1/2] is least: 9e-8, less
-# than that of Taylor's of degree six.
+# Of all polynomials of degree five with C0 = 1 this one has the least largest relative error on [-1/2, 1/2]: 9e-8. The
+# Taylor polynomial of degree six has a larger one.
 C0, C1, C2, C3, C4, C5 = map(np.float32, (1.0, 0.693147, 0.24022242, 0.055507336, 0.009671513, 0.0013264727))
 MANTISSA_BITS = np.int32(23)
 
@@ -38,7 +38,7 @@ def _nearest_whole(_context, x):
     return types.float32(types.float32), codegen
 
 
-# Reassociation would break the rounding of the polynomial, so contraction is the only freedom given.
+# The compiler may contract a product and a sum into one operation. It may not reorder sums: the rounding would suffer.
 @njit(fastmath={"contract"}, error_model="numpy")
 def exp2_float32(x):
     """2**x for float32 x <= 0, relative error below 3e-7; below -126 it stays at 2**-126."""
@@ -48,13 +48,13 @@ def exp2_float32(x):
 
 @njit(fastmath={"contract"}, error_model="numpy")
 def exp2_parts(x):
-    """Two factors of 2**x; the second is known long before the first."""
+    """2**x as two factors: that of the fraction, and that of the whole number, which is ready long before the other."""
     x = x if x > LOWEST else LOWEST
-    # Adding SHIFT would round as well, but what is left would have to wait for its subtraction too.
+    # Adding SHIFT and subtracting it would round as well, but r would have to wait for both.
     rounded = _nearest_whole(x)
     r = x - rounded
-    # The last bits of this sum are the exponent of the whole number.
+    # The last bits of the sum are the biased exponent; moved to the exponent's place they make the number 2**rounded.
     whole = _as_float32(np.int32(_as_int32(rounded + SHIFT) << MANTISSA_BITS))
-    # In pairs: a pair of points waits for fewer operations one after the other than with Horner's rule.
+    # The terms are added in pairs: fewer operations wait for one another than by Horner's rule.
     square = r * r
     return ((C5 * r + C4) * square + (C3 * r + C2)) * square + (C1 * r + C0), whole

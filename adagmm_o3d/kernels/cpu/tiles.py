@@ -1,4 +1,4 @@
-"""Points put in an order in which neighbours lie together, cut into tiles with bounding boxes for the culling."""
+"""Points sorted so that neighbours lie together, and cut into tiles; the culling looks at the tiles' bounding boxes."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from adagmm_o3d.kernels.cpu.culling import GROUP, TILE
 
 Float32 = NDArray[np.float32]
 
-# The numbers of ten bits with two zeros after each.
+# Entry n has the ten bits of n with two zeros between them: three such numbers, shifted, make a Morton code.
 SPREAD_BITS = np.array([sum((n >> bit & 1) << 3 * bit for bit in range(10)) for n in range(1024)], np.uint32)
 
 
 class Boxes(NamedTuple):
-    """The corners, (3, count), of the boxes around runs of TILE points and around groups of GROUP tiles."""
+    """Bounding boxes by their corners, (3, count): of each tile of TILE points, and of each group of GROUP tiles."""
 
     lo: Float32
     hi: Float32
@@ -25,7 +25,7 @@ class Boxes(NamedTuple):
 
 
 class Tiles(NamedTuple):
-    """Boxes of runs of TILE points and of groups of GROUP tiles, (3, count), with the reach of what is in them."""
+    """The boxes of tiles and of groups, with the largest variance and bits of the points in each, (count,)."""
 
     lo: Float32
     hi: Float32
@@ -42,7 +42,7 @@ class Tiles(NamedTuple):
 
 
 def make_tiles(points: Float32, variances: Float32, bits: Float32) -> Tiles:
-    """The tiles of (3, n) ordered points, largest principal variance and bits of each; see `culling.reach_sq`."""
+    """The tiles of (3, n) ordered points, given the variances and bits of each, (n,); see `culling.reach_sq`."""
     boxes = make_boxes(points)
     (variance, most), (group_variance, group_most) = maxima(np.stack([variances, bits]))
     return Tiles(boxes.lo, boxes.hi, variance, most, boxes.group_lo, boxes.group_hi, group_variance, group_most)

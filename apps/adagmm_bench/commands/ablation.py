@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from adagmm_bench.commands.kinect import found as found_scene
 from adagmm_bench.commands.options import add_data, add_output, add_placement, data_folder, open_journal, placement
@@ -24,7 +24,7 @@ from adagmm_bench.runner import run_jobs
 from adagmm_bench.scenes import find_scenes
 from adagmm_bench.simulation import REPETITIONS, trial_ids
 from adagmm_bench.summary import Summary, found_in_simulation, summarise
-from adagmm_bench.trial import SimulatedProblem, TrialJob
+from adagmm_bench.trial import ProblemSource, SimulatedProblem, TrialJob
 from adagmm_fusion.files.atomic_file import write_text
 from adagmm_o3d.errors import InputError
 
@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.trials < 1:
         raise InputError(f"trials: expected 1 or more, got {arguments.trials}")
     folder = data_folder(arguments)
-    problems = {
+    problems: dict[str, Sequence[ProblemSource]] = {
         f"{dimension}D": [
             SimulatedProblem(trial_id, find_models(dimension, folder))
             for trial_id in trial_ids(dimension, repetitions=arguments.trials, seed=arguments.seed)

@@ -24,7 +24,14 @@ from adagmm_o3d.pairs.device import CROSSING_PAIRS
 PAPER_SECONDS = 10.0  # a 3D trial of the paper, on its GTX 1080
 SANITIZER_TOOLS = ("memcheck", "racecheck", "synccheck", "initcheck")
 RATE_COLUMNS = ("kernel", "operations a pair", "pairs/s (billions)", "TFLOP/s", "share of peak")
-TIME_COLUMNS = ("points", "clouds on the GPU (s)", "GPU (s)", "CPU (s)", "CPU / GPU", "paper's 10 s / GPU")
+TIME_COLUMNS: tuple[str, ...] = (
+    "points",
+    "clouds on the GPU (s)",
+    "GPU (s)",
+    "CPU (s)",
+    "CPU / GPU",
+    "paper's 10 s / GPU",
+)
 TIME_COLUMNS += ("error GPU (deg)", "error CPU (deg)")
 RATE_TITLE = f"Pair kernels, {POINTS} x {POINTS} points in space, every pair evaluated"
 TIME_TITLE = "Whole registrations, default options"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
+from pathlib import Path
 
 from adagmm_bench.commands.options import (
     add_data,
@@ -105,7 +106,7 @@ def authors_record(scene: KinectScene) -> dict:
     }
 
 
-def plot_figure_18(path, records: list[dict], summaries: list[Summary]) -> None:
+def plot_figure_18(path: Path, records: list[dict], summaries: list[Summary]) -> None:
     """Every method at its best start, on the scene of the paper's Figure 17; on the last scene where that is absent."""
     scenes = sorted({record["problem"]["scene"] for record in records})
     scene = FIGURE_18_SCENE if FIGURE_18_SCENE in scenes else scenes[-1]

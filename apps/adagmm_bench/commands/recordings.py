@@ -26,7 +26,7 @@ from adagmm_bench.methods.registry import source_digest
 from adagmm_bench.pair_report import pair_table, write_pair_report
 from adagmm_bench.report import markdown_table, print_table
 from adagmm_bench.runner import run_jobs
-from adagmm_bench.scenes import RECORDING_PARTNER_DISTANCE, find_frame_pairs
+from adagmm_bench.scenes import RECORDING_PARTNER_DISTANCE, FramePair, find_frame_pairs
 from adagmm_bench.summary import summarise
 from adagmm_bench.trial import TrialJob, judge, run_trial
 from adagmm_fusion.pairs.pipeline import register_pair
@@ -96,6 +96,7 @@ def run_frame_trial(job: TrialJob) -> dict:
     """A method on the app's clouds, or, under the name of the app, its own pipeline from the frames on."""
     if job.method != END_TO_END:
         return run_trial(job)
+    assert isinstance(job.problem, FramePair)
     pair = job.problem.frames()
     started, started_cpu = time.perf_counter(), time.process_time()
     outcome = register_pair(pair, Settings())

@@ -41,5 +41,5 @@ def current_card() -> Card:
     from adagmm_o3d.kernels.cuda.availability import device_name
 
     device = cuda.get_current_device()
-    capability = tuple(int(part) for part in device.compute_capability)
-    return Card(device_name(), capability, int(device.MULTIPROCESSOR_COUNT), 1e3 * float(device.CLOCK_RATE))
+    major, minor = map(int, device.compute_capability)
+    return Card(device_name(), (major, minor), int(device.MULTIPROCESSOR_COUNT), 1e3 * float(device.CLOCK_RATE))

@@ -66,11 +66,11 @@ def _errors(source: Mixture, target: Mixture, pose: np.ndarray) -> Iterator[tupl
     yield "adaptive weights", _relative(sums.row_weights, weights)
     for name, error in _system_errors(sums, system, source.dimension):
         yield f"adaptive {name}", error
-    sums = loop.posterior_sums(pose, SIGMA, UNIFORM, MUTUALITY)
+    posterior_sums = loop.posterior_sums(pose, SIGMA, UNIFORM, MUTUALITY)
     posteriors, column_densities, *system = _convolved(source, target, pose)
-    yield "posteriors", _relative(sums.row_weights, posteriors)
-    yield "column densities", _relative(sums.column_densities, column_densities)
-    for name, error in _system_errors(sums, system, source.dimension):
+    yield "posteriors", _relative(posterior_sums.row_weights, posteriors)
+    yield "column densities", _relative(posterior_sums.column_densities, column_densities)
+    for name, error in _system_errors(posterior_sums, system, source.dimension):
         yield f"convolved {name}", error
     y = source.points @ pose[:3, :3].T + pose[:3, 3]
     nearest = ((y[:, None] - target.points[None]) ** 2).sum(axis=2).min(axis=1)

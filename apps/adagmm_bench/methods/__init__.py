@@ -3,6 +3,7 @@ entry point of another package names, of the group `adagmm_bench.methods`.
 """
 
 from adagmm_bench.methods import (  # noqa: F401  importing registers
+    dense_clouds,
     fast_gicp_methods,
     kiss_matcher_methods,
     open3d_global,

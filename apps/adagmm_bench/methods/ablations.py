@@ -7,49 +7,42 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 from adagmm_bench.methods.variant import Replacement, Variant
-from adagmm_o3d.em.expectation import CLOSE_VOLUME, FINEST_SIGMA, SIGMA_FLOOR
-from adagmm_o3d.mixtures.merging import MergedMixture
-from adagmm_o3d.search.levels import APART_MERGED, KEPT_RANKING, MERGED, SMALL, Cascade
-from adagmm_o3d.search.runs import End, Limits, Start, pose_distance, run_starts
+from adagmm_o3d.arguments import Array
+from adagmm_o3d.em.expectation import FINEST_SIGMA
+from adagmm_o3d.em.runs import End, Start, run_starts
+from adagmm_o3d.em.unmatched import AREA
+from adagmm_o3d.mixtures.condensing import SIGMA_FLOOR
+from adagmm_o3d.mixtures.mixture import Mixture
+from adagmm_o3d.search.schedule import SCHEDULE
 from adagmm_o3d.search.starts import around
 
-# The share of points without a partner at which all ends are compared where none is compared at its own.
-ONE_SHARE = 0.1
+
+def scheduled(**changes: Any) -> Replacement:
+    """The search with another schedule."""
+    return Replacement("search.register", "SCHEDULE", replace(SCHEDULE, **changes))
 
 
-def compared_at_one_share(
-    source: MergedMixture, target: MergedMixture, starts: list[Start], *, limits: Limits, volume: float, level: int
-) -> list[End]:
-    """`run_starts`, the likelihood of every end taken at ONE_SHARE: EM of no iterations from the end tells it."""
-    ends = run_starts(source, target, starts, limits=limits, volume=volume, level=level)
-    again = [Start(end.pose, end.sigma, ONE_SHARE, fastest=1.0, iterations=0, follow=1.0) for end in ends]
-    judged = run_starts(source, target, again, limits=limits, volume=volume, level=level)
-    return [end._replace(log_likelihood=at.log_likelihood) for end, at in zip(ends, judged, strict=True)]
+def run_starts_unaccelerated(*sides: Any, limits: Any, **options: Any) -> list[End]:
+    return run_starts(*sides, limits=replace(limits, accelerated=False), **options)
 
 
-def run_starts_unaccelerated(
-    source: MergedMixture, target: MergedMixture, starts: list[Start], *, limits: Limits, volume: float, level: int
-) -> list[End]:
-    limits = replace(limits, accelerated=False)
-    return run_starts(source, target, starts, limits=limits, volume=volume, level=level)
-
-
-def keep_the_step(residual, deviation, memory, step) -> None:
+def keep_the_step(residual: Array, deviation: float, memory: Array, step: Array) -> None:
     """In place of `accelerate`: `step` holds the residual already."""
 
 
-def narrowed_by_the_sketch(cascade: Cascade, sketched: list[End], merged: End) -> list[End]:
-    """The likeliest ends of the sketch that lead elsewhere, no level between it and the deciding one."""
-    return [end for end in sketched if pose_distance(end.pose, merged.pose) > APART_MERGED][:KEPT_RANKING]
+def no_features(source: Mixture, target: Mixture) -> list[Array]:
+    """In place of `feature_poses`: nothing is recognised."""
+    return []
 
 
-def shifted_only(pose, dimension: int) -> list[Start]:
+def shifted_only(pose: Array, dimension: int) -> list[Start]:
     return [start for start in around(pose, dimension) if (start.pose[:3, :3] == pose[:3, :3]).all()]
 
 
-def turned_only(pose, dimension: int) -> list[Start]:
+def turned_only(pose: Array, dimension: int) -> list[Start]:
     return [start for start in around(pose, dimension) if (start.pose[:3, 3] == pose[:3, 3]).all()]
 
 
@@ -79,9 +72,9 @@ ABLATIONS = {
     "adagmm-always-mutual": Variant(
         "The default with each pair's weight a share of both points', for small clouds too.", {"mutuality": 0.5}
     ),
-    "adagmm-close-volume": Variant(
-        "The default with points without a partner spread over little more than the clouds.",
-        replacements=(Replacement("search.register", "OPEN_VOLUME", CLOSE_VOLUME),),
+    "adagmm-open-world": Variant(
+        "The default with points without a partner taken for four times as thin as they are.",
+        replacements=(Replacement("em.unmatched", "AREA", {d: 4.0 * area for d, area in AREA.items()}),),
     ),
     "adagmm-without-acceleration": Variant(
         "The default with every step of the last refinement as EM gives it.",
@@ -104,11 +97,11 @@ ABLATIONS = {
     ),
     "adagmm-always-searching": Variant(
         "The default with a search after a result without doubt too.",
-        replacements=(Replacement("search.levels", "TIGHT", 0.0),),
+        replacements=(scheduled(tight=0.0),),
     ),
     "adagmm-tight-at-any-overlap": Variant(
         "The default with tight residuals trusted however few points have a partner.",
-        replacements=(Replacement("search.levels", "TIGHT_UNMATCHED", 1.0),),
+        replacements=(scheduled(tight_unmatched=1.0),),
     ),
     "adagmm-without-shifted-starts": Variant(
         "The default with a search among turned starts only.",
@@ -119,19 +112,15 @@ ABLATIONS = {
         replacements=(Replacement("search.starts", "around", shifted_only),),
     ),
     "adagmm-without-sketch": Variant(
-        f"The default with all starts of a search tried on {MERGED} components.",
-        replacements=(Replacement("search.levels", "SKETCHED", {2: MERGED, 3: MERGED}),),
-    ),
-    "adagmm-decided-from-the-sketch": Variant(
-        "The default with the ends of the sketch taken to the deciding level at once.",
-        replacements=(Replacement("search.levels", "Cascade._narrowed", narrowed_by_the_sketch),),
+        f"The default with all starts of a search tried on {SCHEDULE.merged.size[1]} components.",
+        replacements=(scheduled(sketch=replace(SCHEDULE.sketch, size=SCHEDULE.merged.size)),),
     ),
     "adagmm-decided-on-all-points": Variant(
         "The default with a search among small clouds decided on all of their points.",
-        replacements=(Replacement("search.levels", "SMALL_DECIDING", SMALL),),
+        replacements=(scheduled(small_deciding=SCHEDULE.small),),
     ),
-    "adagmm-compared-at-one-share": Variant(
-        f"The default with the ends of a search compared as if {ONE_SHARE:.0%} of the points had no partner.",
-        replacements=(Replacement("search.levels", "run_starts", compared_at_one_share),),
+    "adagmm-without-features": Variant(
+        "The default with no poses proposed by local features.",
+        replacements=(Replacement("search.find", "feature_poses", no_features),),
     ),
 }

@@ -64,7 +64,9 @@ def symmetric(source: Cloud, target: Cloud) -> np.ndarray:
     return lower(T, source.points.shape[1])
 
 
-def _gicp(source: o3d.geometry.PointCloud, target: o3d.geometry.PointCloud, distance: float, init: np.ndarray):
+def _gicp(
+    source: o3d.geometry.PointCloud, target: o3d.geometry.PointCloud, distance: float, init: np.ndarray
+) -> reg.RegistrationResult:
     return reg.registration_generalized_icp(source, target, distance, init, criteria=CRITERIA)
 
 

@@ -12,7 +12,9 @@ FILTERREG_OUTLIER_WEIGHT = 0.3  # likewise
 ITERATIONS = 100
 
 
-def rigid(rotation: np.ndarray, translation: np.ndarray, scale: float = 1.0, source_centre=None) -> np.ndarray:
+def rigid(
+    rotation: np.ndarray, translation: np.ndarray, scale: float = 1.0, source_centre: np.ndarray | None = None
+) -> np.ndarray:
     """A pose of column vectors; a similarity's scale is dropped so that the source's centre lands where it did."""
     D = len(rotation)
     T = np.eye(D + 1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from adagmm_bench.methods.lifting import THIN_HEIGHT, lift, lower
@@ -15,7 +17,7 @@ NEIGHBOURS = 20
 CRITERIA = {"num_threads": 1, "max_iterations": 60, "rotation_epsilon": 1e-4, "translation_epsilon": 1e-4}
 
 
-def _preprocess(cloud: Cloud):
+def _preprocess(cloud: Cloud) -> Any:
     import small_gicp
 
     return small_gicp.preprocess_points(

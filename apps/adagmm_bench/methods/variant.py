@@ -54,10 +54,11 @@ def replaced(replacements: Sequence[Replacement]) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Variant:
-    """`register_points` under one name: its options and start, and what is replaced in the package while it runs;
-    `meaning` is what the reports say about it."""
+    """`register_points` under one name: its options and start, whether it is told the viewpoints, and what is replaced
+    in the package while it runs; `meaning` is what the reports say about it."""
 
     meaning: str
     options: dict[str, Any] = field(default_factory=dict)
     init: str | None = None
+    viewpoints: bool = False
     replacements: tuple[Replacement, ...] = ()

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 
 from adagmm_bench.methods import METHODS
-from adagmm_bench.problem import Cloud, Problem, prepare
+from adagmm_bench.problem import Cloud, Prepared, Problem, prepare
 from adagmm_bench.simulation import rotation_matrix
 from adagmm_bench.speed.measurement import Measurement, cpu_seconds
 from adagmm_o3d.errors import InputError
@@ -72,7 +72,7 @@ def _compile() -> None:
         METHODS["adagmm"](prepared.source, prepared.target)
 
 
-def _seconds(name: str, prepared) -> float:
+def _seconds(name: str, prepared: Prepared) -> float:
     return cpu_seconds(lambda: METHODS[name](prepared.source, prepared.target))
 
 

@@ -4,7 +4,8 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from adagmm_fusion.board_calibration.rig_calibration import RigCalibration
+from adagmm_fusion.board_calibration.rig_calibration import Link, RigCalibration
+from adagmm_fusion.board_calibration.sensor import SensorResult
 from adagmm_fusion.board_calibration.views import SensorViews
 from adagmm_o3d.evaluation import pose_errors
 
@@ -52,9 +53,10 @@ def _view_table(result: RigCalibration, views: dict[str, SensorViews]) -> Table:
     for heading in [*result.sensors, *(f"{link.sensor} with {link.reference}" for link in result.links)]:
         table.add_column(Text(heading), justify="right")
     names = sorted({view for found in views.values() for view in (*found.corners, *found.without_board)})
+    parts: list[SensorResult | Link] = [*result.sensors.values(), *result.links]
     for view in names:
         cells = []
-        for part in (*result.sensors.values(), *result.links):
+        for part in parts:
             if view in part.errors_px:
                 cells.append(Text(f"{part.errors_px[view]:.3f}"))
             elif view in part.outliers_px:

@@ -1,6 +1,7 @@
 """The rig: where its sensors are against each other, from the boards that they saw at the same moments."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -19,7 +20,7 @@ from adagmm_fusion.frames.rgbd import PinholeIntrinsics, checked_rigid_transform
 from adagmm_fusion.rigs.rig import Rig, SensorCalibration
 
 MIN_COMMON_VIEWS = 3
-# Of good boards the error is a fraction of a pixel; far above, the two sensors do not see the same thing.
+# Good boards leave an error below a pixel. Above this limit the two sensors do not see the same board.
 MAX_RIG_ERROR_PX = 2.0
 # A mirrored sensor is named if mirroring it back makes the error this much smaller.
 MIRROR_RATIO = 5.0
@@ -55,7 +56,7 @@ def calibrate_rig(
     board: Chessboard | Charuco,
     *,
     name: str,
-    folder,
+    folder: str | Path,
     coefficients: int = 5,
     depth_scale: float = 1000.0,
 ) -> RigCalibration:
@@ -92,12 +93,12 @@ def calibrate_rig(
     calibrations = {
         key: SensorCalibration(key, result.intrinsics, depth_scale, placed[key]) for key, result in sensors.items()
     }
-    used = f"{max(len(r.errors_px) for r in sensors.values())} views"
-    rig = Rig(name, calibrations, f"calibrated from {used} of a board")
+    most = max(len(r.errors_px) for r in sensors.values())
+    rig = Rig(name, calibrations, f"calibrated from {most} views of a board")
     return RigCalibration(rig, sensors, tuple(links), tuple(warnings))
 
 
-def _check_depth_scale(result: SensorResult, depth_scale: float, folder) -> str | None:
+def _check_depth_scale(result: SensorResult, depth_scale: float, folder: str | Path) -> str | None:
     """What is to be said about the depth unit, if something is. Raises RecordingError if it is a different one."""
     if result.depth_units_per_metre is None:
         return None
@@ -117,7 +118,9 @@ def _check_depth_scale(result: SensorResult, depth_scale: float, folder) -> str 
     return None
 
 
-def _common_views(sensors, a: str, b: str) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def _common_views(
+    sensors: dict[str, SensorResult], a: str, b: str
+) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Ids and both sensors' pixels, by view that both used."""
     found = {}
     for view, corners in sensors[a].corners.items():
@@ -128,11 +131,14 @@ def _common_views(sensors, a: str, b: str) -> dict[str, tuple[np.ndarray, np.nda
     return found
 
 
-def _link(sensors, board, sensor: str, reference: str, folder) -> tuple[Link, dict]:
+def _link(
+    sensors: dict[str, SensorResult], board: Chessboard | Charuco, sensor: str, reference: str, folder: str | Path
+) -> tuple[Link, dict]:
     """The link, and the views it rests on as _common_views gives them."""
     common = _common_views(sensors, sensor, reference)
     label = f"{folder}: {sensor} and {reference}"
-    used, outliers = dict(common), {}
+    used = dict(common)
+    outliers: dict[str, float] = {}
     while True:
         if len(used) < MIN_COMMON_VIEWS:
             raise RecordingError(
@@ -159,14 +165,21 @@ def _link(sensors, board, sensor: str, reference: str, folder) -> tuple[Link, di
     return Link(sensor, reference, T, rms, errors_px, outliers), used
 
 
-def _refined_together(link: Link, used, sensors, board, coefficients: int) -> tuple[Link, dict[str, SensorResult]]:
+def _refined_together(
+    link: Link,
+    used: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]],
+    sensors: dict[str, SensorResult],
+    board: Chessboard | Charuco,
+    coefficients: int,
+) -> tuple[Link, dict[str, SensorResult]]:
     """Both sensors' intrinsics once more, with the rig between them: that it is rigid says much about both.
 
     The sensors' errors and uncertainties stay those of each on its own.
     """
-    pair = [sensors[key].intrinsics for key in (link.sensor, link.reference)]
     flags = cv2.CALIB_USE_INTRINSIC_GUESS | DISTORTION_FLAGS[coefficients]
-    rms, T, errors, refined = _stereo(used, *pair, board, flags)
+    rms, T, errors, refined = _stereo(
+        used, sensors[link.sensor].intrinsics, sensors[link.reference].intrinsics, board, flags
+    )
     results = dict(sensors)
     for key, intrinsics in zip((link.sensor, link.reference), refined, strict=True):
         results[key] = replace(sensors[key], intrinsics=intrinsics)
@@ -174,7 +187,13 @@ def _refined_together(link: Link, used, sensors, board, coefficients: int) -> tu
     return replace(link, T_reference_sensor=T, rms_px=rms, errors_px=errors_px), results
 
 
-def _stereo(used, sensor: PinholeIntrinsics, reference: PinholeIntrinsics, board, flags=cv2.CALIB_FIX_INTRINSIC):
+def _stereo(
+    used: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]],
+    sensor: PinholeIntrinsics,
+    reference: PinholeIntrinsics,
+    board: Chessboard | Charuco,
+    flags: int = cv2.CALIB_FIX_INTRINSIC,
+) -> tuple[float, np.ndarray, list, list[PinholeIntrinsics]]:
     """RMS [px], T_reference_sensor, each view's error [px] of both sensors together, and their two intrinsics."""
     objects = [board.points[ids].astype(np.float32) for ids, _, _ in used.values()]
     pixels = [[seen[k].astype(np.float32) for seen in used.values()] for k in (1, 2)]
@@ -194,7 +213,13 @@ def _stereo(used, sensor: PinholeIntrinsics, reference: PinholeIntrinsics, board
     return float(rms), checked_rigid_transformation(T, "stereo calibration"), errors_px, refined
 
 
-def _is_mirrored(used, sensor: SensorResult, reference: SensorResult, board, rms: float) -> bool:
+def _is_mirrored(
+    used: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]],
+    sensor: SensorResult,
+    reference: SensorResult,
+    board: Chessboard | Charuco,
+    rms: float,
+) -> bool:
     """Whether mirroring one sensor back makes the two agree; ChArUco boards tell of themselves."""
     if not isinstance(board, Chessboard):
         return False

@@ -1,6 +1,8 @@
 """One sensor's intrinsics from the boards it saw, and its depth unit held against them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -12,13 +14,13 @@ from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_o3d.errors import InputError
 
 MIN_VIEWS = 5
-# A view is an outlier if its error is this many times the views' median, and not small anyway.
+# A view is an outlier if its error exceeds both this multiple of the views' median and the second number.
 OUTLIER_RATIO, OUTLIER_MIN_PX = 3.0, 0.5
 # With more outliers than this, it is not clear which views are the wrong ones.
 MAX_OUTLIER_SHARE = 1.0 / 3.0
-# A corner of a partly hidden board is left out if it is off by this many times the median of all, and not by little.
+# A corner of a partly hidden board is left out if its error exceeds both this multiple of the median and the second.
 CORNER_RATIO, CORNER_MIN_PX = 5.0, 0.3
-# Boards whose normals all lie within this angle leave the focal length open, however well they fit.
+# If the normals of all boards lie within this angle, they do not determine the focal length, however well they fit.
 MIN_TILT_DEG = 15.0
 # Focal lengths less certain than this come from boards that all faced the sensor alike, or from too few.
 MAX_FOCAL_UNCERTAINTY = 0.01
@@ -51,7 +53,9 @@ class SensorResult:
     depth_spread: float | None = None
 
 
-def calibrate_sensor(views: SensorViews, board: Chessboard | Charuco, coefficients: int, folder) -> SensorResult:
+def calibrate_sensor(
+    views: SensorViews, board: Chessboard | Charuco, coefficients: int, folder: str | Path
+) -> SensorResult:
     """Intrinsics with `coefficients` of distortion (0, 4, 5 or 8); views that do not fit are left out and named.
 
     Raises
@@ -63,7 +67,8 @@ def calibrate_sensor(views: SensorViews, board: Chessboard | Charuco, coefficien
         known = ", ".join(map(str, DISTORTION_FLAGS))
         raise InputError(f"distortion: expected one of {known} coefficients, got {coefficients}")
     label = f"{folder}: {views.name}"
-    used, outliers = dict(views.corners), {}
+    used = dict(views.corners)
+    outliers: dict[str, float] = {}
     enough_views(label, views, len(used), board)
     while True:
         fit = _calibrate(views.size, used, board, coefficients)
@@ -134,7 +139,9 @@ class _Fit:
     errors_px: list[float]
 
 
-def _calibrate(size: tuple[int, int], used, board: Chessboard | Charuco, coefficients: int) -> _Fit:
+def _calibrate(
+    size: tuple[int, int], used: dict[str, BoardCorners], board: Chessboard | Charuco, coefficients: int
+) -> _Fit:
     objects = [board.points[corners.ids].astype(np.float32) for corners in used.values()]
     pixels = [corners.pixels.astype(np.float32) for corners in used.values()]
     try:
@@ -147,7 +154,9 @@ def _calibrate(size: tuple[int, int], used, board: Chessboard | Charuco, coeffic
     return _Fit(rms, K, distortion.ravel()[:coefficients], poses, deviations.ravel()[:4], errors.ravel().tolist())
 
 
-def _without_bad_corners(used, fit: _Fit, board: Charuco) -> dict[str, BoardCorners] | None:
+def _without_bad_corners(
+    used: dict[str, BoardCorners], fit: _Fit, board: Chessboard | Charuco
+) -> dict[str, BoardCorners] | None:
     """The views without corners that stand out, which something half hides; None if there is none."""
     residuals = {}
     for (view, corners), pose in zip(used.items(), fit.poses, strict=True):
@@ -160,13 +169,18 @@ def _without_bad_corners(used, fit: _Fit, board: Charuco) -> dict[str, BoardCorn
     return {view: BoardCorners(c.ids[good[view]], c.pixels[good[view]]) for view, c in used.items()}
 
 
-def _tilt_deg(poses) -> float:
+def _tilt_deg(poses: Sequence[tuple[np.ndarray, np.ndarray]]) -> float:
     """The largest angle between the normals of two boards."""
     normals = np.array([cv2.Rodrigues(rotation)[0][:, 2] for rotation, _ in poses])
     return float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0).min())))
 
 
-def _depth_units(views: SensorViews, used, board: Chessboard | Charuco, poses) -> tuple[float | None, float | None]:
+def _depth_units(
+    views: SensorViews,
+    used: dict[str, BoardCorners],
+    board: Chessboard | Charuco,
+    poses: Sequence[tuple[np.ndarray, np.ndarray]],
+) -> tuple[float | None, float | None]:
     """Stored depth over the board's own, median over the views, and how certain that is."""
     scales = []
     for view, (rotation, translation) in zip(used, poses, strict=True):

@@ -19,7 +19,7 @@ from adagmm_fusion.formats.options import listed_images
 from adagmm_fusion.rigs.rig import SENSOR_NAME
 from adagmm_o3d.errors import InputError
 
-# Depth at a corner is the median of this many pixels around it, a side; at the corner itself it may be missing.
+# The depth at a corner is the median of a square with this many pixels a side, as the corner's own may be missing.
 DEPTH_WINDOW = 5
 
 
@@ -39,7 +39,7 @@ class SensorViews:
 
 
 def find_boards(
-    folder, board: Chessboard | Charuco, *, on_image: Callable[[int, int], None] | None = None
+    folder: str | Path, board: Chessboard | Charuco, *, on_image: Callable[[int, int], None] | None = None
 ) -> dict[str, SensorViews]:
     """Search all images of all sensors. `on_image` is called with the number of images done, and of all.
 

@@ -7,7 +7,7 @@ from pathlib import Path
 TABLE_WIDTH = 150  # where the output is no terminal
 
 
-def add(commands) -> None:
+def add(commands: argparse._SubParsersAction) -> None:
     text = (
         "Find intrinsics, distortion and extrinsics of a rig from images of a chessboard or ChArUco board that its "
         "sensors saw at the same moments. IMAGES has a folder SENSOR/color for each sensor, and SENSOR/depth to check "
@@ -58,6 +58,7 @@ def run(args: argparse.Namespace) -> int:
 
     if not 0 < args.depth_scale < float("inf"):
         raise InputError(f"--depth-scale: expected positive depth units per metre, got {args.depth_scale}")
+    board: Chessboard | Charuco
     if args.charuco:
         if args.marker is None:
             raise InputError("--marker: give the edge of the ChArUco board's markers [m]")

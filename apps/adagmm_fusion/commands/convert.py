@@ -5,7 +5,7 @@ import argparse
 from adagmm_fusion.commands.recording_arguments import add_recording_arguments, recording_of
 
 
-def add(commands) -> None:
+def add(commands: argparse._SubParsersAction) -> None:
     text = "Write a recording in our own layout: images without loss, rig file, timestamps, poses and pairs."
     command = commands.add_parser("convert", help="write a recording in our own layout", description=text)
     add_recording_arguments(command)

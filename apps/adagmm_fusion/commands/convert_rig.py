@@ -6,7 +6,7 @@ from pathlib import Path
 METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 
-def add(commands) -> None:
+def add(commands: argparse._SubParsersAction) -> None:
     text = (
         "Make a rig file of calibrations that ROS (camera_info YAML) or OpenCV (FileStorage) wrote. The first sensor "
         "is the rig's frame. Where the others are comes from --stereo, or from the rectification that ROS files hold; "
@@ -43,10 +43,10 @@ def run(args: argparse.Namespace) -> int:
     import numpy as np
 
     from adagmm_fusion.board_calibration.boards import parse_board_size
-    from adagmm_fusion.frames.rgbd import inverse_rigid
     from adagmm_fusion.rigs.importing import read_camera, read_stereo_pose
     from adagmm_fusion.rigs.rig import Rig, SensorCalibration, save_rig
     from adagmm_o3d.errors import InputError
+    from adagmm_o3d.lie import se_inverse
 
     size = parse_board_size(args.size, "--size") if args.size else None
     cameras = {}
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
             raise InputError(f"--stereo: expected two sensors, got {len(cameras)}")
         poses[others[0]] = read_stereo_pose(args.stereo, METRES_PER_UNIT[args.length_unit])
     elif all(camera.T_stereo_camera is not None for camera in cameras.values()):
-        T_first = inverse_rigid(cameras[first].T_stereo_camera)
+        T_first = se_inverse(cameras[first].T_stereo_camera)
         placed = {name: T_first @ cameras[name].T_stereo_camera for name in others}
         # Cameras calibrated one by one all have their own rectification, with no distance between them.
         if all(np.linalg.norm(T[:3, 3]) > 0 for T in placed.values()):

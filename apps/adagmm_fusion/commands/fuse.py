@@ -4,13 +4,15 @@ import argparse
 import contextlib
 import sys
 from pathlib import Path
+from typing import Any
 
 from adagmm_fusion.commands.recording_arguments import add_recording_arguments, recording_of
+from adagmm_fusion.recordings.frame_sequence import Recording
 
 MESHES = ("ply", "glb", "obj")
 
 
-def add(commands) -> None:
+def add(commands: argparse._SubParsersAction) -> None:
     from adagmm_fusion.commands.rerun_arguments import add_rerun_arguments
 
     text = (
@@ -75,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _fuse(args: argparse.Namespace, recording, folder: Path) -> None:
+def _fuse(args: argparse.Namespace, recording: Recording, folder: Path) -> None:
     from adagmm_fusion.commands.progress import staged_progress_bar
     from adagmm_fusion.pairs.settings import Settings
     from adagmm_fusion.sequence.fused_mesh import fuse_frames, save_fused_mesh
@@ -108,7 +110,7 @@ def _fuse(args: argparse.Namespace, recording, folder: Path) -> None:
         _show(args, recording, mesh, placed)
 
 
-def _show(args: argparse.Namespace, recording, mesh, placed: dict) -> None:
+def _show(args: argparse.Namespace, recording: Recording, mesh: Any, placed: dict) -> None:
     """Log the mesh and the way of each sensor to Rerun, as the arguments say."""
     import numpy as np
 
@@ -122,7 +124,7 @@ def _show(args: argparse.Namespace, recording, mesh, placed: dict) -> None:
         log_fused_recording(stream, mesh, ways)
 
 
-def _estimated(recording, scene, settings, folder: Path) -> dict:
+def _estimated(recording: Recording, scene: Any, settings: Any, folder: Path) -> dict:
     """T_world_camera of the places that hold together, the first one's camera frame being the world.
 
     What was found out about them is printed and written.
@@ -161,7 +163,7 @@ def _estimated(recording, scene, settings, folder: Path) -> dict:
     return poses
 
 
-def _conclude_path(recording, poses: dict, path: Path) -> None:
+def _conclude_path(recording: Recording, poses: dict, path: Path) -> None:
     """Write one sensor's trajectory, and print how far it is from the true one, where that is known."""
     from adagmm_fusion.sequence.trajectory import save_trajectory, true_and_estimated
     from adagmm_fusion.sequence.trajectory_errors import trajectory_errors

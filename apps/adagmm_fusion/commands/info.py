@@ -8,7 +8,7 @@ from adagmm_fusion.commands.recording_arguments import add_recording_arguments, 
 TABLE_WIDTH = 150  # where the output is no terminal
 
 
-def add(commands) -> None:
+def add(commands: argparse._SubParsersAction) -> None:
     text = "Read all of a recording and say what is in it. The exit code is 1 if some of it cannot be read."
     command = commands.add_parser("info", help="say what is in a recording", description=text)
     add_recording_arguments(command)

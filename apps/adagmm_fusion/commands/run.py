@@ -3,8 +3,10 @@
 import argparse
 import contextlib
 import os
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -156,7 +158,7 @@ def _saved(outcome: PairOutcome, mesh: TexturedMesh, folder: Path, settings: Set
 class _Viewer:
     """Logs outcomes to a Rerun stream as they come."""
 
-    def __init__(self, stream, settings: Settings, pair_count: int) -> None:
+    def __init__(self, stream: Any, settings: Settings, pair_count: int) -> None:
         self._stream, self._many = stream, pair_count > 1
         self._limits = Limits(settings.max_rotation_error_deg, settings.max_translation_error_mm)
         self._next_frame, self._em_step, self._has_eye = 0, 0, False
@@ -165,7 +167,7 @@ class _Viewer:
     def log(self, outcome: PairOutcome, fused: TexturedMesh | None) -> None:
         frame_index = self._next_frame
         self._next_frame += 1
-        shown_as = {"frame_index": frame_index if self._many else None, "em_step": self._em_step}
+        shown_as: dict[str, Any] = {"frame_index": frame_index if self._many else None, "em_step": self._em_step}
         if outcome.source_cloud is None:
             shown_as["before"] = self._before
             self._em_step = log_refused_pair(self._stream, outcome.pair_name, outcome.reason, **shown_as)
@@ -210,7 +212,7 @@ class _Viewer:
 
 
 @contextlib.contextmanager
-def _viewer(args: argparse.Namespace, recording: Recording, settings: Settings, pair_count: int):
+def _viewer(args: argparse.Namespace, recording: Recording, settings: Settings, pair_count: int) -> Iterator[_Viewer]:
     with open_stream(args, recording.name, dashboard(many_pairs=pair_count > 1)) as stream:
         log_recording_properties(
             stream,

@@ -1,12 +1,13 @@
 """`adagmm-fusion verify`: has a sensor of a rig moved since it was calibrated?"""
 
 import argparse
+from typing import Any
 
 EXIT_CODES = {"unchanged": 0, "moved": 3, "undecided": 4}
 TABLE_WIDTH = 150  # where the output is no terminal
 
 
-def add(commands) -> None:
+def add(commands: argparse._SubParsersAction) -> None:
     from adagmm_fusion.formats import FORMATS
 
     text = (
@@ -105,7 +106,7 @@ def _with_sigma(value: float, sigma: float | None, digits: int) -> str:
     return f"{value:.{digits}f}" + ("" if sigma is None else f" ± {sigma:.{digits}f}")
 
 
-def _sentence(check) -> str:
+def _sentence(check: Any) -> str:
     if check.T_target_source is None:
         good = sum(frame.T_target_source is not None for frame in check.frames)
         return f"{check.source} against {check.target}: undecided, {good} of {len(check.frames)} frames registered"

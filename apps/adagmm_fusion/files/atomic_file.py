@@ -17,7 +17,7 @@ def replacing(path):
     OutputError  if the folder cannot be made or written, or the file cannot be put in place.
     """
     path = Path(path)
-    # Its name is known before it is there, so that it is taken away whenever an interrupt comes.
+    # The name is chosen before the file is made, so that an interrupt at any moment finds what to remove.
     temporary = path.with_name(f".{path.stem}-{secrets.token_hex(8)}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -33,7 +33,7 @@ def replacing(path):
             temporary.unlink()
 
 
-def write_text(path, text: str):
+def write_text(path: str | Path, text: str) -> None:
     """Write a UTF-8 text file atomically."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")

@@ -1,7 +1,10 @@
 """An open file is one process's: by flock where there is one, else by Windows's locks of bytes."""
 
 import os
+from typing import Any
 
+fcntl: Any
+msvcrt: Any
 try:
     import fcntl
 except ImportError:

@@ -3,7 +3,9 @@ image."""
 
 import struct
 import zlib
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,8 +18,8 @@ from adagmm_o3d.errors import InputError, InputTypeError
 MISSING = "the image is missing"
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
-MAX_PIXELS = 1 << 26  # a few bytes can say that they are an image of gigabytes
-# Markers of a JPEG: those without a length, and those that start a frame, whose size is then said.
+MAX_PIXELS = 1 << 26  # a file of a few bytes can claim to be an image of gigabytes
+# JPEG markers: those that no length follows, and those that start a frame and state the image's size.
 JPEG_ALONE = (0x01, *range(0xD0, 0xDA))
 JPEG_FRAMES = (*range(0xC0, 0xC4), *range(0xC5, 0xC8), *range(0xC9, 0xCC), *range(0xCD, 0xD0))
 
@@ -79,7 +81,7 @@ def load_frame(
     intrinsics: PinholeIntrinsics,
     depth_scale: float,
     timestamp: float | None = None,
-    fix_depth=None,
+    fix_depth: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> RGBDFrame:
     """The frame of two image files; `fix_depth` maps the stored depth values to what `depth_scale` is about.
 
@@ -93,7 +95,7 @@ def load_frame(
     return checked_frame(depth_path, name, color, depth, intrinsics, depth_scale, sensor, timestamp)
 
 
-def checked_frame(path: Path, *values) -> RGBDFrame:
+def checked_frame(path: Path, *values: Any) -> RGBDFrame:
     """RGBDFrame(*values), where what is wrong becomes a RecordingError about `path`."""
     try:
         return RGBDFrame(*values)

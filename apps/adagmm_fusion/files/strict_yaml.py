@@ -5,9 +5,10 @@ unknown keys are errors, because a calibration that ignores half of its file is 
 """
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 import yaml
@@ -17,7 +18,7 @@ from adagmm_o3d.errors import InputError
 
 NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 INTEGER = re.compile(r"[-+]?[0-9]{1,18}")
-# Escapes can write what is no text: half of a surrogate pair, or commands to a terminal.
+# Escapes can stand for characters that are not text: half of a surrogate pair, or commands to a terminal.
 NO_TEXT = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
 MAX_DEPTH = 12
 
@@ -37,7 +38,7 @@ class Item:
         """Raise this document's error about this value."""
         raise self.error(f"{self.path}:{self.line}: {self.label}: {' '.join(message.split())}")
 
-    def mapping(self, required=(), optional=()) -> "dict[str, Item]":
+    def mapping(self, required: Iterable[str] = (), optional: Iterable[str] = ()) -> "dict[str, Item]":
         """The keys and values; exactly `required` and any of `optional` when either is given."""
         if not isinstance(self.value, dict):
             self.fail(f"expected a mapping (key: value), got {self._kind()}")
@@ -102,7 +103,7 @@ class Item:
         return {dict: "a mapping", list: "a list"}.get(type(self.value)) or repr(self.value)
 
 
-def read_yaml(path, error: type[InputError]) -> Item:
+def read_yaml(path: str | Path, error: type[InputError]) -> Item:
     """The document in a UTF-8 file; `error` is the class to raise for whatever is wrong with it."""
     path = Path(path)
     text = read_input_text(path, error)
@@ -122,7 +123,7 @@ def read_yaml(path, error: type[InputError]) -> Item:
 class _Builder:
     """Turns the parser's events into Items, refusing what is not plain data."""
 
-    def __init__(self, path: Path, error: type[InputError], events):
+    def __init__(self, path: Path, error: type[InputError], events: Any):
         self.path, self.error, self.events = path, error, events
 
     def document(self) -> Item:
@@ -135,7 +136,7 @@ class _Builder:
             raise self.error(f"{self.path}:{end.start_mark.line + 1}: expected one document, got a second one")
         return root
 
-    def item(self, event, label: str, depth: int) -> Item:
+    def item(self, event: Any, label: str, depth: int) -> Item:
         line = event.start_mark.line + 1
         where = f"{self.path}:{line}: {label}"
         if isinstance(event, yaml.AliasEvent) or event.anchor is not None:

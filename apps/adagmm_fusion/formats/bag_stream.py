@@ -21,14 +21,15 @@ from scipy.spatial.transform import Rotation
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.frames.depth_registration import register_depth
-from adagmm_fusion.frames.rgbd import PinholeIntrinsics, inverse_rigid
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics, checked_rigid_transformation
 from adagmm_o3d.errors import InputError
+from adagmm_o3d.lie import se_inverse
 
 STREAM_INFO = "uint32 fps\nstring encoding\nbool is_recommended\n"
 DEPTH_ENCODINGS = ("mono16", "16UC1")
 # Where the colour channels are in each encoding.
 COLOR_CHANNELS = {"rgb8": [0, 1, 2], "bgr8": [2, 1, 0], "rgba8": [0, 1, 2], "bgra8": [2, 1, 0]}
-# The model whose coefficients are OpenCV's; of the others they are left out.
+# The one distortion model whose coefficients are OpenCV's; other models' coefficients are not used.
 OPENCV_MODEL = "brown conrady"
 
 
@@ -58,7 +59,7 @@ class BagStream:
         self.fps = float(self._first(f"{depth}/info").fps)
         self.depth_scale = self._depth_scale(depth)
         self._depth_intrinsics, self.intrinsics = self._intrinsics(depth), self._intrinsics(color)
-        self._T_color_depth = self._T_stream_common(color) @ inverse_rigid(self._T_stream_common(depth))
+        self._T_color_depth = self._T_stream_common(color) @ se_inverse(self._T_stream_common(depth))
         if self.fps <= 0:
             raise RecordingError(f"{path}: expected a positive frame rate, got {self.fps:g}")
         self.seconds = (self._times["Depth"][-1] - self._times["Depth"][0]) / 1e9 + 1.0 / self.fps
@@ -71,7 +72,7 @@ class BagStream:
         RecordingError  if there is none, or no colour within a frame of it, or an image is not as expected.
         """
         depth_times, color_times = self._times["Depth"], self._times["Color"]
-        # A frame is a little late or early: half a frame counts as the frame.
+        # Frames come a little early or late: up to half a frame early counts as on time.
         index = int(np.searchsorted(depth_times, depth_times[0] + 1e9 * (seconds - 0.5 / self.fps)))
         if index == len(depth_times):
             raise RecordingError(f"{self.path}: no frame with colour and depth at {seconds:.3f} s or later")
@@ -135,7 +136,10 @@ class BagStream:
         except ValueError as problem:
             raise RecordingError(f"{self.path}: {stream}/tf/0: expected a rotation, got {quaternion}") from problem
         T[:3, 3] = tf.translation.x, tf.translation.y, tf.translation.z
-        return T
+        try:
+            return checked_rigid_transformation(T, "pose")
+        except InputError as problem:
+            raise RecordingError(f"{self.path}: {stream}/tf/0: {problem}") from problem
 
     def _image(self, name: str, time: int) -> np.ndarray:
         """(H, W) uint16 depth, or (H, W, 3) uint8 RGB."""

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
@@ -48,7 +49,7 @@ class ReadOptions:
         return None if self.rig is None else self.rig.sensor(sensor).T_rig_sensor
 
 
-def intrinsics_from_matrix(K, size: tuple[int, int], path: Path) -> PinholeIntrinsics:
+def intrinsics_from_matrix(K: ArrayLike, size: tuple[int, int], path: Path) -> PinholeIntrinsics:
     """Intrinsics from a 3x3 camera matrix without skew, for images of `size` (width, height)."""
     K = np.asarray(K, dtype=np.float64)
     if K.shape != (3, 3) or K[0, 1] != 0 or K[1, 0] != 0 or not np.array_equal(K[2], (0, 0, 1)):

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.input_file import read_input_text
@@ -40,7 +41,7 @@ def parse_numbers(words: list[str], count: int, where: str) -> list[float]:
     return numbers
 
 
-def parse_pose(numbers, where: str) -> np.ndarray:
+def parse_pose(numbers: ArrayLike, where: str) -> np.ndarray:
     """(4, 4) rigid transformation from 16 numbers, row by row."""
     try:
         return checked_rigid_transformation(np.reshape(numbers, (4, 4)), "pose")

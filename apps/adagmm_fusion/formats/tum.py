@@ -14,6 +14,7 @@ or the comments of depth.txt, else from a rig. Source: Sturm et al. 2012 and the
 """
 
 import re
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -103,7 +104,9 @@ def _read_associations(folder: Path, depths: list[tuple[float, Path]]) -> list[t
     return sorted(associations)
 
 
-def _associate(colors, depths) -> list[tuple[float, Path, Path]]:
+def _associate(
+    colors: Sequence[tuple[float, Path]], depths: Sequence[tuple[float, Path]]
+) -> list[tuple[float, Path, Path]]:
     """The best partners first, each image once, as the benchmark's associate.py does."""
     color_stamps = np.array([stamp for stamp, _ in colors])
     candidates = []

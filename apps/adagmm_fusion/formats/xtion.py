@@ -22,9 +22,10 @@ from adagmm_fusion.formats.matlab_file import read_variable
 from adagmm_fusion.formats.options import ReadOptions, intrinsics_from_matrix
 from adagmm_fusion.formats.text_table import parse_pose, read_matrix
 from adagmm_fusion.frames.depth_registration import register_depth
-from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame, checked_rigid_transformation, inverse_rigid
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame, checked_rigid_transformation
 from adagmm_fusion.recordings.frame_sequence import FrameEntry, PairEntry, Recording
 from adagmm_o3d.errors import InputError
+from adagmm_o3d.lie import se_inverse
 
 NAME = "xtion"
 SUMMARY = "Xtion rig (rgb_image1_N.png, depth1_N.mat, cameraparametersAsus.mat)"
@@ -115,5 +116,5 @@ def _sensor_poses(reference: Path, sensors: list[int], options: ReadOptions) -> 
     poses = dict.fromkeys(sensors)
     if reference.is_file():
         T_cam2_cam1 = parse_pose(read_matrix(reference, 4, 4), str(reference))
-        poses |= {1: np.eye(4), 2: inverse_rigid(T_cam2_cam1)}
+        poses |= {1: np.eye(4), 2: se_inverse(T_cam2_cam1)}
     return poses

@@ -8,7 +8,7 @@ import numpy as np
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame
 from adagmm_o3d.errors import InputError
 
-# Two neighbouring pixels lie on one surface unless it is seen at a more grazing angle than this.
+# Two neighbouring pixels count as one surface if the camera would see that surface at this angle or squarer.
 EDGE_ANGLE_DEG = 86.0
 
 
@@ -125,7 +125,7 @@ def grid_normals(depth_m: np.ndarray, intrinsics: PinholeIntrinsics, *, window: 
 def _best_window(residual: np.ndarray, half: int) -> tuple[np.ndarray, np.ndarray]:
     """Row and column of the window centre to use for each pixel; a corner's only where it is clearly better."""
     height, width = residual.shape
-    rows, columns = np.indices(residual.shape)
+    rows, columns = (np.asarray(index) for index in np.indices(residual.shape))
     best, best_rows, best_columns = 0.5 * residual, rows, columns
     for down in (-half, half):
         for right in (-half, half):

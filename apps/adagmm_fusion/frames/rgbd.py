@@ -4,11 +4,15 @@ Camera frames are right-handed, x right, y down, z forward (RDF). Pixel (0, 0) i
 point (x, y, z) is at u = fx x/z + cx, v = fy y/z + cy before distortion (OpenCV's model and order of coefficients).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adagmm_o3d.errors import InputError, InputTypeError
+from adagmm_o3d.lie import project_to_rotation
 
 DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 MAX_COORDINATE = 1e12  # metres; products of a few such numbers are finite
@@ -16,7 +20,7 @@ MAX_PX = 1e9  # of a focal length or principal point; the inverse of a focal len
 DEPTH_DTYPES = (np.dtype(np.uint16), np.dtype(np.float32), np.dtype(np.float64))
 
 
-def checked_rigid_transformation(transformation, name: str, *, tolerance: float = 1e-3) -> np.ndarray:
+def checked_rigid_transformation(transformation: ArrayLike, name: str, *, tolerance: float = 1e-3) -> np.ndarray:
     """A (4, 4) float64 copy whose rotation is exactly one; rounding as in text files, up to `tolerance`, is removed.
 
     Raises
@@ -37,27 +41,21 @@ def checked_rigid_transformation(transformation, name: str, *, tolerance: float 
         raise InputError(f"{name}: expected 0 0 0 1 in the last row, got {' '.join(f'{x:g}' for x in T[3])}")
     if np.abs(T).max() > MAX_COORDINATE:
         raise InputError(f"{name}: expected numbers up to {MAX_COORDINATE:g}, got {np.abs(T).max():g}; check the units")
-    left, _, right = np.linalg.svd(T[:3, :3])
-    rotation = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
-    off = np.abs(T[:3, :3] - rotation).max()
+    try:
+        rotation = project_to_rotation(T[:3, :3])
+        off = np.abs(T[:3, :3] - rotation).max()
+    except InputError:  # no rotation is nearest
+        off = np.inf
     if off > tolerance:
         determinant = np.linalg.det(T[:3, :3])
         raise InputError(
             f"{name}: the upper left 3x3 block is not a rotation: {off:.2g} from one, determinant {determinant:.4g}; "
             "check the rows' order and that it is not scaled or mirrored"
         )
-    if off > 1e-12:  # else it keeps its very bits, so that files can be written and read again unchanged
+    if off > 1e-12:  # else its bits stay, and a file that is written and read again does not change
         T[:3, :3] = rotation
     T[3] = (0.0, 0.0, 0.0, 1.0)
     return T
-
-
-def inverse_rigid(T: np.ndarray) -> np.ndarray:
-    """The inverse of a (4, 4) rigid transformation, rigid again."""
-    inverse = np.eye(4)
-    inverse[:3, :3] = T[:3, :3].T
-    inverse[:3, 3] = -T[:3, :3].T @ T[:3, 3]
-    return inverse
 
 
 @dataclass(frozen=True)
@@ -193,7 +191,7 @@ class RGBDPair:
             object.__setattr__(self, "T_target_source", T)
 
 
-def _finite(value, name: str) -> float:
+def _finite(value: Any, name: str) -> float:
     try:
         number = float(value)
     except (TypeError, ValueError):
@@ -203,5 +201,5 @@ def _finite(value, name: str) -> float:
     return number
 
 
-def _size(shape) -> str:
+def _size(shape: Sequence[int]) -> str:
     return f"{shape[1]}x{shape[0]}"

@@ -60,7 +60,14 @@ def textured_glb(
     return _glb(vertices, normals, triangles, {"TEXCOORD_0": (coordinates, FLOAT32, "VEC2")}, scene, png)
 
 
-def _glb(vertices, normals, triangles, attributes: dict, scene: dict, png: bytes | None = None) -> bytes:
+def _glb(
+    vertices: np.ndarray,
+    normals: np.ndarray,
+    triangles: np.ndarray,
+    attributes: dict,
+    scene: dict,
+    png: bytes | None = None,
+) -> bytes:
     positions = np.ascontiguousarray(vertices, dtype="<f4")
     parts = {
         "POSITION": (positions, FLOAT32, "VEC3"),

@@ -18,7 +18,7 @@ from adagmm_o3d.errors import InputError
 
 # Vertices across the image's width.
 GRID_COLUMNS = 160
-# Surfaces this near are one, seen twice: what the sensors and their poses are off.
+# Surfaces this near each other are one, seen twice: so large are the errors of sensors and poses.
 SAME_SURFACE_M, SAME_SURFACE_SHARE = 0.03, 0.02
 
 
@@ -54,7 +54,7 @@ def joined_surface(placed: Sequence[tuple[RGBDFrame, np.ndarray]], *, max_depth_
                 better_elsewhere |= same & ((theirs > own) | ((theirs == own) & (j < i)))
         # A triangle on the border stays, so that the parts overlap and no crack shows.
         grid.remove_triangles_by_mask(better_elsewhere[np.asarray(grid.triangles)].all(axis=1))
-        # What follows is compared with what is left, or two frames might each leave a place to the other.
+        # Later frames are compared with what is left of this one: else each of two might leave a place to the other.
         views[i] = texture_view(*placed[i], _scene(grid), max_depth_m)
         joined += grid
     return joined.remove_unreferenced_vertices()

@@ -1,15 +1,17 @@
 """Photographs of a surface: what each sees of it, and how well."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
 import open3d as o3d
 
-from adagmm_fusion.frames.rgbd import RGBDFrame, inverse_rigid
+from adagmm_fusion.frames.rgbd import RGBDFrame
 from adagmm_fusion.meshes.pinhole_images import pinhole_images
+from adagmm_o3d.lie import se_inverse
 
-# A point counts as seen if no surface lies farther than this before it: where sensors disagree the mesh is in between.
+# A surface up to this far before a point does not hide it: where sensors disagree, the mesh lies between them.
 HIDDEN_BY_M, HIDDEN_BY_SHARE = 0.03, 0.02
 # A photograph fades out towards its border, and where something hides what is behind it.
 # It never vanishes: where there is no better one it still counts.
@@ -76,7 +78,7 @@ def texture_view(
 ) -> TextureView:
     """A frame as a photograph of the surface in `scene`, with rays cast through its pixels."""
     measured, color = pinhole_images(frame, max_depth_m)
-    T_camera_world, K = inverse_rigid(T_world_camera), frame.intrinsics.matrix()
+    T_camera_world, K = se_inverse(T_world_camera), frame.intrinsics.matrix()
     height, width = measured.shape
     rays = scene.create_rays_pinhole(o3d.core.Tensor(K), o3d.core.Tensor(T_camera_world), width, height)
     hits = scene.cast_rays(rays)
@@ -114,7 +116,7 @@ def _fade(surface_z: np.ndarray) -> np.ndarray:
     return np.maximum(share * share * (3.0 - 2.0 * share), LEAST_FADE).astype(np.float32)
 
 
-def _sampled(image: np.ndarray, pixels: np.ndarray, interpolation: int, outside) -> np.ndarray:
+def _sampled(image: np.ndarray, pixels: np.ndarray, interpolation: int, outside: Any) -> np.ndarray:
     flat = pixels.reshape(-1, 1, 2)
     # OpenCV's remap takes images of up to 32767 pixels a side: long lists go in as a square.
     side = max(1, int(np.ceil(np.sqrt(len(flat)))))

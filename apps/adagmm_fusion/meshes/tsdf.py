@@ -8,10 +8,11 @@ import open3d as o3d
 from adagmm_fusion.errors import OutputError
 from adagmm_fusion.files.atomic_file import replacing
 from adagmm_fusion.files.ply_file import ply_bytes
-from adagmm_fusion.frames.rgbd import RGBDFrame, inverse_rigid
+from adagmm_fusion.frames.rgbd import RGBDFrame
 from adagmm_fusion.meshes.glb_file import colored_glb
 from adagmm_fusion.meshes.pinhole_images import pinhole_images
 from adagmm_o3d.errors import InputError
+from adagmm_o3d.lie import se_inverse
 
 BLOCK_RESOLUTION = 8  # voxels a side
 BYTES_PER_VOXEL = 4 + 4 + 3 * 4
@@ -58,7 +59,7 @@ class TSDFVolume:
         depth, color = pinhole_images(frame, self.max_depth_m)
         color = np.ascontiguousarray(color.astype(np.float32) / 255.0)
         images = [o3d.t.geometry.Image(o3d.core.Tensor(image)) for image in (depth, color)]
-        matrices = (o3d.core.Tensor(m) for m in (frame.intrinsics.matrix(), inverse_rigid(T_world_camera)))
+        matrices = (o3d.core.Tensor(m) for m in (frame.intrinsics.matrix(), se_inverse(T_world_camera)))
         K, T_camera_world = matrices
         if not (depth > 0).any():
             return

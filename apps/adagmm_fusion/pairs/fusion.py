@@ -8,12 +8,13 @@ import open3d as o3d
 from adagmm_fusion.clouds.building import dense_cloud
 from adagmm_fusion.files.atomic_file import replacing
 from adagmm_fusion.files.ply_file import ply_bytes
-from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDPair, checked_rigid_transformation
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDPair
 from adagmm_fusion.meshes.joined_grids import textured_moment
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh
 from adagmm_fusion.pairs.pipeline import PairOutcome
 from adagmm_fusion.rigs.rig import Rig, SensorCalibration
 from adagmm_o3d.errors import InputError
+from adagmm_o3d.lie import project_to_rotation
 
 FUSED_VOXEL_SIZE_M = 0.01
 
@@ -89,10 +90,15 @@ class RigEstimate:
 
 
 def mean_pose(poses: list[np.ndarray]) -> np.ndarray | None:
-    """The rotation nearest to all in the chordal sense, and the mean translation; (4, 4), None of none."""
+    """The rotation nearest to all in the chordal sense, and the mean translation; (4, 4).
+
+    None of none, and where no rotation is nearest to all, as of two half a turn apart.
+    """
     if not poses:
         return None
     mean = np.mean(poses, axis=0)
-    left, _, right = np.linalg.svd(mean[:3, :3])
-    mean[:3, :3] = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
-    return checked_rigid_transformation(mean, "mean pose")
+    try:
+        mean[:3, :3] = project_to_rotation(mean[:3, :3])
+    except InputError:
+        return None
+    return mean

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import open3d as o3d
@@ -11,16 +12,15 @@ from adagmm_fusion.clouds.building import MIN_DEPTH, clouds_from_pair
 from adagmm_fusion.errors import one_line
 from adagmm_fusion.frames.rgbd import RGBDPair
 from adagmm_fusion.pairs.feature_start import FeatureStart, find_feature_start
+from adagmm_fusion.pairs.partners import partner_distance
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.recordings.frame_sequence import Recording
 from adagmm_o3d import registration_adaptive_gmm
 from adagmm_o3d.errors import AdaGMMError
 from adagmm_o3d.evaluation import PoseErrors, overlap_ratio, pose_errors
+from adagmm_o3d.options import DeviceName
 from adagmm_o3d.result import PointRegistrationResult
 from adagmm_o3d.warm_up import warm_up
-
-# Partners in fitness, inlier RMSE and overlap are nearer than this many mean distances of neighbouring target points.
-PARTNER_SPACINGS = 2.0
 
 Callback = Callable[[dict], None]
 
@@ -76,7 +76,7 @@ class PairOutcome:
         return None if self.estimate is None else self.estimate.transformation
 
 
-def compile_kernels(device: str) -> None:
+def compile_kernels(device: DeviceName) -> None:
     """Register small clouds, so that no pair's time holds the compilation (half a minute, once per machine)."""
     if device != "cuda":
         warm_up(paper_rules=False)
@@ -105,7 +105,7 @@ def register_pair(pair: RGBDPair, settings: Settings, callback: Callback | None 
 
     `callback` goes to registration_adaptive_gmm as callback_after_iteration. Errors of ours become a failed outcome.
     """
-    reached = {"pair": pair}
+    reached: dict[str, Any] = {"pair": pair}
     try:
         start = time.perf_counter()
         source, target = clouds_from_pair(
@@ -121,7 +121,7 @@ def register_pair(pair: RGBDPair, settings: Settings, callback: Callback | None 
         if settings.start == "features":
             features = find_feature_start(pair, min_depth_m=MIN_DEPTH, max_depth_m=settings.max_depth_m)
         reached |= {"features": features, "seconds_features": time.perf_counter() - start}
-        distance = settings.partner_distance_m or _partner_distance(target)
+        distance = partner_distance(target, settings.partner_distance_m)
         start = time.perf_counter()
         result = registration_adaptive_gmm(
             source,
@@ -164,8 +164,14 @@ def why_failed(estimate: PointRegistrationResult, evaluation: Evaluation, settin
     return "; ".join(reasons)
 
 
-def _evaluate(source, target, result, distance: float, T_truth: np.ndarray | None) -> Evaluation:
-    known = {}
+def _evaluate(
+    source: o3d.geometry.PointCloud,
+    target: o3d.geometry.PointCloud,
+    result: o3d.pipelines.registration.RegistrationResult,
+    distance: float,
+    T_truth: np.ndarray | None,
+) -> Evaluation:
+    known: dict[str, Any] = {}
     if T_truth is not None:
         points = np.asarray(source.points), np.asarray(target.points)
         known = {
@@ -176,15 +182,11 @@ def _evaluate(source, target, result, distance: float, T_truth: np.ndarray | Non
     return Evaluation(distance, result.fitness, result.inlier_rmse, **known)
 
 
-def _partner_distance(target: o3d.geometry.PointCloud) -> float:
-    return PARTNER_SPACINGS * float(np.mean(target.compute_nearest_neighbor_distance()))
-
-
 def _criteria(settings: Settings) -> o3d.pipelines.registration.ICPConvergenceCriteria | None:
     if settings.max_iteration is None:
         return None
     return o3d.pipelines.registration.ICPConvergenceCriteria(max_iteration=settings.max_iteration)
 
 
-def _refused(name: str, index: int, problem: AdaGMMError, **reached) -> PairOutcome:
+def _refused(name: str, index: int, problem: AdaGMMError, **reached: Any) -> PairOutcome:
     return PairOutcome(name, index, "failed", one_line(problem), "error", **reached)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -48,7 +49,7 @@ class PairRecord:
 
 def pair_record(outcome: PairOutcome) -> PairRecord:
     """What the report says about an outcome."""
-    known = {}
+    known: dict[str, Any] = {}
     if outcome.pair is not None:
         target, source, T_truth = outcome.pair.target, outcome.pair.source, outcome.pair.T_target_source
         known |= {"target": f"{target.sensor}/{target.name}", "source": f"{source.sensor}/{source.name}"}

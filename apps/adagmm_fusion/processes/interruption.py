@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-# An interrupt that has come at a bad moment comes again after so long.
+# An interrupt that came at a bad moment is sent again after this time.
 AGAIN_S = 0.02
 
 
@@ -72,7 +72,7 @@ def _send_to_main_thread(number: int) -> None:
     if hasattr(signal, "pthread_kill"):
         signal.pthread_kill(threading.main_thread().ident, number)
     else:
-        _thread.interrupt_main(number)
+        _thread.interrupt_main(signal.Signals(number))
 
 
 def must_not_stop(frame: FrameType | None) -> bool:

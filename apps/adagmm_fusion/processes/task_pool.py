@@ -81,7 +81,8 @@ class _Worker:
 
 
 def _run_locally(function: Callable, tasks: Mapping[str, Any], count: int) -> Iterator[tuple[str, Any]]:
-    waiting, deaths = deque(tasks), Counter()
+    waiting: deque[str] = deque(tasks)
+    deaths: Counter[str] = Counter()
     crew: list[_Worker] = []
     started = 0
     try:
@@ -95,7 +96,8 @@ def _run_locally(function: Callable, tasks: Mapping[str, Any], count: int) -> It
                     with suppress(OSError):  # it may have died; the read that follows says so
                         worker.connection.send(tasks[worker.key])
             talking = {w.connection: w for w in crew if w.key is not None or not w.started}
-            for connection in wait(list(talking)):
+            ready: list[Any] = wait(list(talking))
+            for connection in ready:
                 worker = talking[connection]
                 try:
                     message = connection.recv()
@@ -166,7 +168,7 @@ def _serve(connection: Connection, function: Callable) -> None:
 
 
 @contextmanager
-def _one_core(index: int):
+def _one_core(index: int) -> Iterator[None]:
     """Processes started within keep to one of the cores this one may use, where the system can do that.
 
     Threading Building Blocks, inside Open3D, takes its number of threads from there when it is loaded.
@@ -183,7 +185,7 @@ def _one_core(index: int):
 
 
 @contextmanager
-def _environment(values: Mapping[str, str]):
+def _environment(values: Mapping[str, str]) -> Iterator[None]:
     """Environment variables for the processes started within."""
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from adagmm_fusion.errors import RecordingError
-from adagmm_fusion.frames.rgbd import RGBDFrame, RGBDPair, inverse_rigid
+from adagmm_fusion.frames.rgbd import RGBDFrame, RGBDPair
+from adagmm_o3d.lie import se_inverse
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +103,7 @@ class Recording:
         source, target = self.entries[pair.source], self.entries[pair.target]
         T_target_source = pair.T_target_source
         if T_target_source is None and source.T_world_camera is not None and target.T_world_camera is not None:
-            T_target_source = inverse_rigid(target.T_world_camera) @ source.T_world_camera
+            T_target_source = se_inverse(target.T_world_camera) @ source.T_world_camera
         position = index % len(self.pairs)
         return RGBDPair(self.pair_name(position), source.load(), target.load(), T_target_source, position)
 

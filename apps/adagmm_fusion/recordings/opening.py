@@ -12,7 +12,9 @@ from adagmm_o3d.errors import InputError
 __all__ = ["FORMATS", "FrameEntry", "FrameSequence", "PairEntry", "Recording", "open_recording"]
 
 
-def open_recording(path, *, format: str | None = None, rig: Rig | str | Path | None = None, step: int = 1) -> Recording:
+def open_recording(
+    path: str | Path, *, format: str | None = None, rig: Rig | str | Path | None = None, step: int = 1
+) -> Recording:
     """Open a recording. Nothing but its lists, poses and calibration is read now; images are read when asked
     for.
 

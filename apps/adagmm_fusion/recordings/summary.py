@@ -1,16 +1,18 @@
 """What a recording holds: its sensors as their frames show them, and its pairs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from adagmm_fusion.frames.rgbd import PinholeIntrinsics, inverse_rigid
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.recordings.frame_sequence import FrameEntry, Recording
 from adagmm_o3d.errors import AdaGMMError
 from adagmm_o3d.evaluation import pose_errors
+from adagmm_o3d.lie import se_inverse
 
 
 @dataclass
@@ -81,7 +83,7 @@ def summarize_recording(
             offsets.append(times[0] - times[1])
         T = pair.T_target_source
         if T is None and source.T_world_camera is not None and target.T_world_camera is not None:
-            T = inverse_rigid(target.T_world_camera) @ source.T_world_camera
+            T = se_inverse(target.T_world_camera) @ source.T_world_camera
         if T is not None:
             apart = pose_errors(np.eye(4), T)
             rotations.append(apart.rotation_deg)
@@ -115,11 +117,12 @@ def _add_frame(sensor: SensorSummary, entry: FrameEntry) -> float | None:
     sensor.frames += 1
     sensor.poses += entry.T_world_camera is not None
     frame = entry.load()
-    for values, value in (
+    seen: tuple[tuple[list, Any], ...] = (
         (sensor.intrinsics, frame.intrinsics),
         (sensor.depth_scales, frame.depth_scale),
         (sensor.depth_dtypes, str(frame.depth.dtype)),
-    ):
+    )
+    for values, value in seen:
         if value not in values:
             values.append(value)
     depth = frame.depth_m()
@@ -139,7 +142,7 @@ def _table(*headings: str) -> Table:
 
 
 def _sensor_column(sensor: SensorSummary) -> dict[str, str]:
-    def each(values, text) -> str:
+    def each(values: Iterable[Any], text: Callable[[Any], str]) -> str:
         return "; ".join(map(text, values)) or "not known"
 
     return {

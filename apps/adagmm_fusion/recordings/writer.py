@@ -3,8 +3,9 @@
 import json
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,16 +14,19 @@ from adagmm_fusion.errors import OutputError, RecordingError
 from adagmm_fusion.files.atomic_file import write_text
 from adagmm_fusion.files.output_folder import exclusive
 from adagmm_fusion.formats.own import FORMAT, FRAME_NAME, MANIFEST, VERSION
-from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame, inverse_rigid
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame
 from adagmm_fusion.recordings.frame_sequence import FrameEntry, Recording
 from adagmm_fusion.rigs.rig import Rig, SensorCalibration, save_rig
+from adagmm_o3d.lie import se_inverse
 
 RIG_FILE = "rig.yaml"
 # Depth that is not stored as whole units already is stored in millimetres.
 MILLIMETRES_PER_METRE = 1000.0
 
 
-def convert_recording(recording: Recording, folder, *, on_frame: Callable[[int, int], None] | None = None) -> Path:
+def convert_recording(
+    recording: Recording, folder: str | Path, *, on_frame: Callable[[int, int], None] | None = None
+) -> Path:
     """Write `recording` to `folder` in our own layout, its rig beside it as rig.yaml.
 
     The frames are read and written one by one. Depth stays as it is where it is 16 bits; other depth is rounded, to its
@@ -86,7 +90,9 @@ def _moments(recording: Recording) -> dict[str, dict[str, FrameEntry]]:
     return moments
 
 
-def _extrinsics(recording: Recording, moments) -> tuple[dict[str, np.ndarray | None], bool]:
+def _extrinsics(
+    recording: Recording, moments: Mapping[Any, dict[str, FrameEntry]]
+) -> tuple[dict[str, np.ndarray | None], bool]:
     """T_rig_sensor of each sensor, and whether the rig moves; a moving rig's frame is its first sensor's."""
     first, *others = recording.sensors
     moving = not others or any(_differ(e, moments) for e in next(iter(moments.values())).values())
@@ -102,7 +108,7 @@ def _extrinsics(recording: Recording, moments) -> tuple[dict[str, np.ndarray | N
             T_world_first, T_world_sensor = entries[first].T_world_camera, entries[sensor].T_world_camera
             if T_world_first is None or T_world_sensor is None:
                 continue
-            relative = inverse_rigid(T_world_first) @ T_world_sensor
+            relative = se_inverse(T_world_first) @ T_world_sensor
             known = extrinsics[sensor]
             if known is None:
                 extrinsics[sensor] = relative
@@ -111,14 +117,16 @@ def _extrinsics(recording: Recording, moments) -> tuple[dict[str, np.ndarray | N
     return extrinsics, True
 
 
-def _differ(entry: FrameEntry, moments) -> bool:
+def _differ(entry: FrameEntry, moments: Mapping[Any, dict[str, FrameEntry]]) -> bool:
     poses = [entries[entry.sensor].T_world_camera for entries in moments.values()]
     if any(pose is None for pose in poses):
         return any(pose is not None for pose in poses)
     return any(not np.array_equal(pose, poses[0]) for pose in poses)
 
 
-def _write_images(recording: Recording, folder: Path, on_frame) -> dict[str, tuple[PinholeIntrinsics, float]]:
+def _write_images(
+    recording: Recording, folder: Path, on_frame: Callable[[int, int], None] | None
+) -> dict[str, tuple[PinholeIntrinsics, float]]:
     """Write all images; returns the intrinsics and depth scale of each sensor."""
     calibrations: dict[str, tuple[PinholeIntrinsics, float]] = {}
     for number, entry in enumerate(recording.entries, 1):
@@ -148,7 +156,7 @@ def _whole_units(frame: RGBDFrame) -> tuple[np.ndarray, float]:
     return units.astype(np.uint16), depth_scale
 
 
-def _manifest(recording: Recording, moments, moving: bool) -> str:
+def _manifest(recording: Recording, moments: Mapping[Any, dict[str, FrameEntry]], moving: bool) -> str:
     def quoted(text):
         return json.dumps(text, ensure_ascii=False)
 

@@ -18,7 +18,9 @@ def transform_archetype(T: np.ndarray) -> rr.Transform3D:
     return rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
 
 
-def log_blank_images(rec, target_size: tuple[int, int], source_size: tuple[int, int], when: When) -> None:
+def log_blank_images(
+    rec: rr.RecordingStream, target_size: tuple[int, int], source_size: tuple[int, int], when: When
+) -> None:
     """Black in all image views, of the (width, height) of the images before.
 
     The viewer goes on showing an encoded image after a `Clear`, and takes those of an entity for a video, whose size
@@ -33,12 +35,14 @@ def log_blank_images(rec, target_size: tuple[int, int], source_size: tuple[int, 
         when.log(rec, sensor.depth, rr.DepthImage(nothing, meter=MILLIMETRES_PER_METRE).compress())
 
 
-def log_pose(rec, sensor: Sensor, T: np.ndarray, when: When) -> None:
+def log_pose(rec: rr.RecordingStream, sensor: Sensor, T: np.ndarray, when: When) -> None:
     """Put a sensor at T (4, 4), sensor to world."""
     when.log(rec, sensor.root, transform_archetype(T))
 
 
-def log_frustum(rec, sensor: Sensor, intrinsics: PinholeIntrinsics, color, when: When) -> None:
+def log_frustum(
+    rec: rr.RecordingStream, sensor: Sensor, intrinsics: PinholeIntrinsics, color: tuple[int, int, int], when: When
+) -> None:
     """The sensor's pinhole, drawn `color`; also what ties its 2D images to the 3D scene."""
     pinhole = rr.Pinhole(
         image_from_camera=intrinsics.matrix(),
@@ -51,7 +55,7 @@ def log_frustum(rec, sensor: Sensor, intrinsics: PinholeIntrinsics, color, when:
     when.log(rec, sensor.image, pinhole)
 
 
-def log_images(rec, sensor: Sensor, frame: RGBDFrame, when: When) -> None:
+def log_images(rec: rr.RecordingStream, sensor: Sensor, frame: RGBDFrame, when: When) -> None:
     """The colour image as JPEG and the depth image as compressed millimetres, for the 2D views."""
     when.log(rec, sensor.rgb, rr.Image(frame.color).compress(jpeg_quality=JPEG_QUALITY))
     depth_mm = np.nan_to_num(frame.depth_m() * MILLIMETRES_PER_METRE, nan=0.0)

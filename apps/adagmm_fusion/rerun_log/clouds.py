@@ -39,25 +39,30 @@ def point_radius(points: np.ndarray) -> float:
 def own_colors(cloud: o3d.geometry.PointCloud) -> np.ndarray:
     """(N, 3) uint8, grey where the cloud has no colours."""
     if not cloud.has_colors():
-        return np.tile(np.uint8(DEFAULT_COLOR), (len(cloud.points), 1))
+        return np.tile(np.asarray(DEFAULT_COLOR, np.uint8), (len(cloud.points), 1))
     return np.floor(np.clip(np.asarray(cloud.colors), 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
 
 
-def shaded_colors(cloud: o3d.geometry.PointCloud, color) -> np.ndarray:
+def shaded_colors(cloud: o3d.geometry.PointCloud, color: tuple[int, int, int]) -> np.ndarray:
     """(N, 3) uint8: one colour for the whole cloud, lit from above to show its shape; flat without normals."""
     if not cloud.has_normals():
-        return np.tile(np.uint8(color), (len(cloud.points), 1))
+        return np.tile(np.asarray(color, np.uint8), (len(cloud.points), 1))
     return lit_colors(np.asarray(cloud.normals), color)
 
 
-def lit_colors(normals: np.ndarray, color) -> np.ndarray:
+def lit_colors(normals: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
     """(N, 3) uint8: a colour as it looks on surfaces with these unit normals (N, 3), of either sign."""
     lit = AMBIENT + (1.0 - AMBIENT) * np.abs(normals @ LIGHT)
     return np.clip(lit[:, None] * np.asarray(color, dtype=np.float64), 0, 255).astype(np.uint8)
 
 
 def log_points(
-    rec, entity: str, points: np.ndarray, colors: np.ndarray, when: When, layers: Mapping[str, np.ndarray] | None = None
+    rec: rr.RecordingStream,
+    entity: str,
+    points: np.ndarray,
+    colors: np.ndarray,
+    when: When,
+    layers: Mapping[str, np.ndarray] | None = None,
 ) -> None:
     """Log points (N, 3) [m] with colours (N, 3) uint8, and further sets of colours by the name of their layer.
 

@@ -7,9 +7,10 @@ import open3d as o3d
 from scipy.spatial import cKDTree
 
 from adagmm_fusion.frames.rgbd import RGBDFrame
+from adagmm_fusion.pairs import partners
+from adagmm_o3d.result import PointRegistrationResult
 
 HIDDEN, CONTRADICTED, PARTNER = 0, 1, 2
-SPACINGS_TO_A_PARTNER = 3.0
 MILLIMETRES_PER_METRE = 1000.0
 
 
@@ -33,7 +34,7 @@ class PointDiagnostics:
 def diagnose(
     source: o3d.geometry.PointCloud,
     target: o3d.geometry.PointCloud,
-    estimate,
+    estimate: PointRegistrationResult,
     *,
     target_frame: RGBDFrame | None = None,
     partner_distance: float | None = None,
@@ -46,26 +47,25 @@ def diagnose(
     estimate : with transformation (4, 4) and row_weights (M,), as `PointRegistrationResult` has them.
     target_frame : the target's depth image, to tell points it cannot see from points that contradict it; without it
         every point without partner counts as HIDDEN.
-    partner_distance : [m]; None for three times the target's median spacing.
+    partner_distance : [m]; None for the one that registrations are judged by.
     """
-    if partner_distance is None:
-        partner_distance = SPACINGS_TO_A_PARTNER * float(np.median(target.compute_nearest_neighbor_distance()))
     T = np.asarray(estimate.transformation)
     moved = np.asarray(source.points) @ T[:3, :3].T + T[:3, 3]
     distances, nearest = cKDTree(np.asarray(target.points)).query(moved)
-    has_partner = distances <= partner_distance
+    near = partners.partner_distance(target, partner_distance)
+    has_partner = distances <= near
     residuals = distances
     if target.has_normals():
         gap = moved - np.asarray(target.points)[nearest]
         residuals = np.abs(np.einsum("ij,ij->i", gap, np.asarray(target.normals)[nearest]))
     overlap = np.where(has_partner, PARTNER, HIDDEN)
     if target_frame is not None:
-        overlap[~has_partner & _contradicted(moved, target_frame, partner_distance)] = CONTRADICTED
+        overlap[~has_partner & _contradicted(moved, target_frame, near)] = CONTRADICTED
     return PointDiagnostics(
         weight_share=weight_shares(estimate.row_weights),
         residual_mm=np.where(has_partner, residuals * MILLIMETRES_PER_METRE, np.nan),
         overlap=overlap,
-        partner_distance=partner_distance,
+        partner_distance=near,
     )
 
 

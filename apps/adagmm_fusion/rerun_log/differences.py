@@ -1,5 +1,7 @@
 """What the estimate gets wrong, and what it could not know: marks and words in the 3D scene."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import rerun as rr
 
@@ -11,7 +13,7 @@ from adagmm_fusion.rerun_log.when import When
 ARROW_RADIUS = 0.012
 
 
-def log_difference(rec, T_estimate: np.ndarray, T_truth: np.ndarray | None, when: When) -> None:
+def log_difference(rec: rr.RecordingStream, T_estimate: np.ndarray, T_truth: np.ndarray | None, when: When) -> None:
     """An arrow from the estimated to the true place of the source sensor, with the difference written beside it."""
     if T_truth is None:
         when.clear(rec, entities.DIFFERENCE)
@@ -28,7 +30,9 @@ def log_difference(rec, T_estimate: np.ndarray, T_truth: np.ndarray | None, when
     when.log(rec, entities.DIFFERENCE, arrow)
 
 
-def log_unobservable(rec, unobservable, source: np.ndarray, target: np.ndarray, when: When) -> None:
+def log_unobservable(
+    rec: rr.RecordingStream, unobservable: Sequence[np.ndarray], source: np.ndarray, target: np.ndarray, when: When
+) -> None:
     """An arrow for each direction that the clouds leave free: along it the source slides, or about it it turns.
 
     unobservable : unit tangents (ω, v) (6,), target's axes, about its centroid, in units of the clouds' RMS radius.

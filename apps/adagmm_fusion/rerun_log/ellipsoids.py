@@ -18,7 +18,14 @@ def chosen_points(cloud: o3d.geometry.PointCloud, count: int = MOST_ELLIPSOIDS) 
     return usable[np.linspace(0, len(usable) - 1, min(count, len(usable))).astype(int)]
 
 
-def log_covariances(rec, entity: str, cloud: o3d.geometry.PointCloud, sigmas: np.ndarray, color, when: When) -> None:
+def log_covariances(
+    rec: rr.RecordingStream,
+    entity: str,
+    cloud: o3d.geometry.PointCloud,
+    sigmas: np.ndarray,
+    color: tuple[int, int, int],
+    when: When,
+) -> None:
     """Log the ellipsoids, which shrink with σ from one EM iteration to the next.
 
     cloud : with covariances (N, 3, 3), Σ in the sensor's frame.    sigmas : (K,) [m² per unit of Σ].

@@ -13,7 +13,7 @@ from adagmm_fusion.rerun_log.meshes import TWO_SIDED, log_textured_mesh
 from adagmm_fusion.rerun_log.views import Eye, scene
 from adagmm_fusion.rerun_log.when import When
 
-# The view is filled by so much of the mesh: a few surfaces seen far away would make the rest small.
+# The view is fitted to this share of the mesh: a few surfaces far away would make the rest small.
 SHOWN_PERCENT = 90
 
 

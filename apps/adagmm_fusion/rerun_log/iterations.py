@@ -5,6 +5,7 @@ import rerun as rr
 
 from adagmm_fusion.rerun_log import entities
 from adagmm_fusion.rerun_log.when import When
+from adagmm_o3d.result import PointRegistrationResult
 
 CURVES = {
     entities.ENERGY: ("energy", (90, 160, 255)),
@@ -22,7 +23,7 @@ def log_curve_styles(rec: rr.RecordingStream) -> None:
         rec.log(entity, rr.SeriesLines(names=name, colors=color, widths=2.0), static=True)
 
 
-def log_transformations(rec, entity: str, transformations: np.ndarray, when: When) -> None:
+def log_transformations(rec: rr.RecordingStream, entity: str, transformations: np.ndarray, when: When) -> None:
     """Move `entity` through (K+1, 4, 4) poses: before the first EM iteration, and after each."""
     translations = np.ascontiguousarray(transformations[:, :3, 3], dtype=np.float32)
     rotations = np.ascontiguousarray(transformations[:, :3, :3], dtype=np.float32)
@@ -33,7 +34,7 @@ def log_transformations(rec, entity: str, transformations: np.ndarray, when: Whe
     when.send_rows(rec, entity, np.arange(len(transformations)), columns_of)
 
 
-def log_curve(rec, entity: str, iterations: np.ndarray, values: np.ndarray, when: When) -> None:
+def log_curve(rec: rr.RecordingStream, entity: str, iterations: np.ndarray, values: np.ndarray, when: When) -> None:
     """Send one curve; values that are not finite are left out, a gap says more than a spike.
 
     Where there are many pairs, a chart of this pair's curve is logged too: on the timeline `frame` a pair is a moment.
@@ -50,7 +51,9 @@ def log_curve(rec, entity: str, iterations: np.ndarray, values: np.ndarray, when
         when.log(rec, entities.chart_of(entity), rr.BarChart(values, abscissa=iterations - 0.5, color=color))
 
 
-def log_estimate_iterations(rec, estimate, T_truth: np.ndarray | None, when: When | None = None) -> int:
+def log_estimate_iterations(
+    rec: rr.RecordingStream, estimate: PointRegistrationResult, T_truth: np.ndarray | None, when: When | None = None
+) -> int:
     """Log every EM iteration of an estimate: pose of the source, σ, energy, and the errors where the truth is known.
 
     Parameters

@@ -43,7 +43,10 @@ def overlap_colors(overlap: np.ndarray) -> np.ndarray:
 def why_layers(diagnostics: PointDiagnostics | None, n: int) -> dict[str, np.ndarray]:
     """The source's colours that say why, by layer, (n, 3) uint8 each; without diagnostics no point has a partner."""
     if diagnostics is None:
-        return {layer: np.tile(np.uint8(NO_PARTNER_COLOR), (n, 1)) for layer in (WEIGHT_SHARE, RESIDUAL_MM, OVERLAP)}
+        return {
+            layer: np.tile(np.asarray(NO_PARTNER_COLOR, np.uint8), (n, 1))
+            for layer in (WEIGHT_SHARE, RESIDUAL_MM, OVERLAP)
+        }
     return {
         WEIGHT_SHARE: ramp_colors(diagnostics.weight_share, MOST_WEIGHT_SHOWN, WEIGHT_RAMP),
         RESIDUAL_MM: ramp_colors(diagnostics.residual_mm, largest_residual_mm(diagnostics), RESIDUAL_RAMP),
@@ -72,12 +75,14 @@ def log_legends(rec: rr.RecordingStream, diagnostics: PointDiagnostics, when: Wh
     _log_labelled(rec, entities.OVERLAP_LEGEND, blocks, counts, (np.arange(3) + 0.5) * STRIP[1] / 3, when)
 
 
-def _log_strip(rec, entity: str, ramp: np.ndarray, labels: list[str], when: When) -> None:
+def _log_strip(rec: rr.RecordingStream, entity: str, ramp: np.ndarray, labels: list[str], when: When) -> None:
     colors = ramp_colors(np.linspace(0.0, 1.0, STRIP[1]), 1.0, ramp)
     _log_labelled(rec, entity, colors, labels, np.linspace(0, STRIP[1], len(labels)), when)
 
 
-def _log_labelled(rec, entity: str, colors: np.ndarray, labels: list[str], at: np.ndarray, when: When) -> None:
+def _log_labelled(
+    rec: rr.RecordingStream, entity: str, colors: np.ndarray, labels: list[str], at: np.ndarray, when: When
+) -> None:
     image = np.ascontiguousarray(np.broadcast_to(colors[None].astype(np.uint8), (STRIP[0], *colors.shape)))
     when.log(rec, f"{entity}/strip", rr.Image(image))
     positions = np.stack([at, np.full(len(at), STRIP[0] + 6.0)], axis=1)

@@ -36,7 +36,13 @@ def log_textured_mesh(rec: rr.RecordingStream, entity: str, mesh: TexturedMesh |
     when.log(rec, entity, archetype)
 
 
-def log_shape_mesh(rec: rr.RecordingStream, entity: str, surface, color, when: When) -> None:
+def log_shape_mesh(
+    rec: rr.RecordingStream,
+    entity: str,
+    surface: tuple[np.ndarray, np.ndarray] | None,
+    color: tuple[int, int, int],
+    when: When,
+) -> None:
     """Log a surface in one colour, lit: where two of them coincide their colours mix, where they do not one covers."""
     if surface is None:
         when.clear(rec, entity)

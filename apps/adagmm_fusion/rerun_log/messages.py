@@ -4,9 +4,12 @@ import rerun as rr
 
 from adagmm_fusion.rerun_log import entities
 from adagmm_fusion.rerun_log.when import When
+from adagmm_o3d.result import PointRegistrationResult
 
 
-def log_messages(rec: rr.RecordingStream, pair_name: str, estimate, reason: str, when: When) -> None:
+def log_messages(
+    rec: rr.RecordingStream, pair_name: str, estimate: PointRegistrationResult | None, reason: str, when: When
+) -> None:
     """One line for the pair, one for each warning, one for the reason of a failure."""
     lines = []
     if estimate is not None:

@@ -14,7 +14,9 @@ BEHIND_MARGIN = 0.05
 DIMMED = 0.35
 
 
-def log_overlay(rec, source: RGBDFrame, target: RGBDFrame, T_target_source: np.ndarray, when: When) -> None:
+def log_overlay(
+    rec: rr.RecordingStream, source: RGBDFrame, target: RGBDFrame, T_target_source: np.ndarray, when: When
+) -> None:
     """Log two composites: source over dimmed target, and a checkerboard, whose edges meet if the pose is right."""
     colors, seen = project_colors(source, target, T_target_source)
     over = (DIMMED * target.color).astype(np.uint8)
@@ -48,7 +50,7 @@ def project_colors(source: RGBDFrame, target: RGBDFrame, T_target_source: np.nda
     u, v, z, pixels = u[order], v[order], points[order, 2], pixels[order]
     depth = np.full((camera.height, camera.width), np.inf)
     colors = np.zeros((camera.height, camera.width, 3), dtype=np.uint8)
-    # A pixel covers the four it falls between: no holes where the target is a little nearer than the source was.
+    # Each pixel is drawn on the four that it falls between, so no holes show where the target is nearer.
     for dv in (0, 1):
         for du in (0, 1):
             i, j = np.floor(v).astype(int) + dv, np.floor(u).astype(int) + du

@@ -28,6 +28,7 @@ from adagmm_fusion.rerun_log.messages import log_messages
 from adagmm_fusion.rerun_log.overlay import log_overlay
 from adagmm_fusion.rerun_log.verdict import DEFAULT_LIMITS, Limits, pair_report
 from adagmm_fusion.rerun_log.when import When
+from adagmm_o3d.result import PointRegistrationResult
 
 
 def log_pair(
@@ -35,7 +36,7 @@ def log_pair(
     pair: RGBDPair,
     source_cloud: o3d.geometry.PointCloud,
     target_cloud: o3d.geometry.PointCloud,
-    estimate,
+    estimate: PointRegistrationResult | None,
     *,
     frame_index: int | None = None,
     em_step: int = 0,
@@ -61,7 +62,7 @@ def log_pair(
     status, reason : "failed" and why, if the caller says so; otherwise the verdict follows from `limits`.
     seconds : what the registration took.
     report : markdown for the report view instead of the standard one.
-    partner_distance : how near [m] a target point counts as a partner; None for thrice the target's spacing.
+    partner_distance : how near [m] a target point counts as a partner; None for what registrations are judged by.
     fused : both frames as one textured surface at the estimate, in the target's frame, as `textured_moment` makes it.
 
     Returns
@@ -119,8 +120,8 @@ def log_refused_pair(
     when = When(frame_index, em_step)
     when.clear(rec, entities.WORLD)
     if before is not None:
-        sizes = ((k.width, k.height) for k in (before.target.intrinsics, before.source.intrinsics))
-        log_blank_images(rec, *sizes, when)
+        target, source = before.target.intrinsics, before.source.intrinsics
+        log_blank_images(rec, (target.width, target.height), (source.width, source.height), when)
     when.clear(rec, entities.DIAGNOSTICS)
     when.clear(rec, entities.CHARTS)
     report = pair_report(name, None, None, status="failed", reason=reason)
@@ -129,7 +130,7 @@ def log_refused_pair(
     return em_step + 1
 
 
-def _log_sensors(rec, pair: RGBDPair, T_initial: np.ndarray, when: When) -> None:
+def _log_sensors(rec: rr.RecordingStream, pair: RGBDPair, T_initial: np.ndarray, when: When) -> None:
     log_pose(rec, TARGET, np.eye(4), when)
     log_pose(rec, INITIAL_SOURCE, T_initial, when)
     log_frustum(rec, INITIAL_SOURCE, pair.source.intrinsics, INITIAL_COLOR, when)
@@ -147,7 +148,14 @@ def _log_sensors(rec, pair: RGBDPair, T_initial: np.ndarray, when: When) -> None
         log_frustum(rec, TRUE_SOURCE, pair.source.intrinsics, TRUTH_COLOR, when)
 
 
-def _log_clouds(rec, source, target, estimate, diagnostics: PointDiagnostics | None, when: When) -> None:
+def _log_clouds(
+    rec: rr.RecordingStream,
+    source: o3d.geometry.PointCloud,
+    target: o3d.geometry.PointCloud,
+    estimate: PointRegistrationResult | None,
+    diagnostics: PointDiagnostics | None,
+    when: When,
+) -> None:
     dimmed = {DIMMED: shaded_colors(target, DIMMED_TARGET_COLOR)}
     log_points(rec, TARGET.points, np.asarray(target.points), own_colors(target), when, dimmed)
     why = why_layers(diagnostics, len(source.points))

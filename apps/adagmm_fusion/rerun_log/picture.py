@@ -23,8 +23,8 @@ from adagmm_fusion.rerun_log.streams import free_port
 from adagmm_o3d.errors import AdaGMMError, InputError
 
 RERUN = Path(rerun_cli.__file__).parent / "rerun"
-LOADING_SECONDS = 60.0
-MOST_SCREENSHOTS = 30
+LOADING_SECONDS = RESTING_SECONDS = 120.0
+SECONDS_BETWEEN_LOOKS = 0.1
 JPEG_QUALITY = 85
 
 
@@ -51,7 +51,7 @@ def headless_viewer(path: Path) -> Iterator[ViewerClient]:
         while viewer.get_state().loading:
             if time.monotonic() > give_up:
                 raise RecordingError(f"{path}: still loading after {LOADING_SECONDS:g} s")
-            time.sleep(0.1)
+            time.sleep(SECONDS_BETWEEN_LOOKS)
         yield viewer
 
 
@@ -60,16 +60,21 @@ def screenshot(viewer: ViewerClient, view_id: str | None = None) -> np.ndarray:
 
     Raises
     ------
-    OutputError  if the picture does not come to rest.
+    OutputError  if the viewer makes no picture, or it does not come to rest.
     """
-    before = None
-    for _ in range(MOST_SCREENSHOTS):
-        png = viewer.take_screenshot(view_id)
-        if png == before:
-            return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1]
-        before = png
-        time.sleep(0.1)
-    raise OutputError(f"rerun viewer: the picture still changed after {MOST_SCREENSHOTS} screenshots")
+    before, problem = None, "the picture still changed"
+    give_up = time.monotonic() + RESTING_SECONDS
+    while time.monotonic() < give_up:
+        try:
+            png = viewer.take_screenshot(view_id)
+        except ConnectionError as error:  # a busy machine paints too late for one screenshot
+            problem = str(error).split("\n")[0]
+        else:
+            if png == before:
+                return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1]
+            before, problem = png, "the picture still changed"
+        time.sleep(SECONDS_BETWEEN_LOOKS)
+    raise OutputError(f"rerun viewer: {problem} after {RESTING_SECONDS:g} s")
 
 
 def show_page(viewer: ViewerClient, name: str) -> None:

@@ -1,5 +1,7 @@
 """The same pictures for a script that calls the plugin: one object, given as `callback_after_iteration`."""
 
+from typing import Any, TypeAlias
+
 import numpy as np
 import open3d as o3d
 import rerun as rr
@@ -21,7 +23,7 @@ CURVE_OF_KEY = {
     "inlier_rmse": entities.INLIER_RMSE,
 }
 
-Cloud = o3d.geometry.PointCloud | o3d.t.geometry.PointCloud
+Cloud: TypeAlias = o3d.geometry.PointCloud | o3d.t.geometry.PointCloud
 
 
 class RegistrationLogger:
@@ -88,5 +90,5 @@ def _legacy(cloud: Cloud) -> o3d.geometry.PointCloud:
     return cloud.to_legacy() if isinstance(cloud, o3d.t.geometry.PointCloud) else cloud
 
 
-def _number(value) -> float:
+def _number(value: Any) -> float:
     return float(value.item() if isinstance(value, o3d.core.Tensor) else value)

@@ -11,6 +11,7 @@ import time
 import urllib.parse
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import rerun as rr
 
@@ -28,7 +29,7 @@ LEAST_ROOM_BYTES = 1 << 20  # the SDK waits for ever where there is no room for 
 
 
 @contextlib.contextmanager
-def open_stream(args: argparse.Namespace, name: str, blueprint=None) -> Iterator[rr.RecordingStream]:
+def open_stream(args: argparse.Namespace, name: str, blueprint: Any = None) -> Iterator[rr.RecordingStream]:
     """A recording stream that goes where `args` say, closed at the end so that a file has its footer.
 
     A file is written beside its final name and moved there when it is complete. With `--serve` this blocks at the end,
@@ -62,7 +63,7 @@ def open_stream(args: argparse.Namespace, name: str, blueprint=None) -> Iterator
             _wait_for_interrupt(server)
 
 
-def _connect(rec: rr.RecordingStream, url: str, blueprint) -> None:
+def _connect(rec: rr.RecordingStream, url: str, blueprint: Any) -> None:
     """Connect to a viewer that is there: the SDK itself would wait for one for ever."""
     try:
         address = urllib.parse.urlsplit(url)

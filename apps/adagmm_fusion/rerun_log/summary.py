@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -85,5 +86,5 @@ def _badness(row: SummaryRow) -> tuple:
     return no_pose, row.status == "failed", row.rotation_deg if row.rotation_deg is not None else -1.0
 
 
-def _cell(value, form: str) -> str:
+def _cell(value: Any, form: str) -> str:
     return "–" if value is None else format(value, form)

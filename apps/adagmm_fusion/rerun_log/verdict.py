@@ -6,6 +6,7 @@ import numpy as np
 
 from adagmm_fusion.rerun_log.diagnostics import CONTRADICTED, PARTNER, PointDiagnostics
 from adagmm_fusion.rerun_log.iterations import pose_errors
+from adagmm_o3d.result import PointRegistrationResult
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,7 @@ DEFAULT_LIMITS = Limits()
 
 def pair_report(
     name: str,
-    estimate,
+    estimate: PointRegistrationResult | None,
     T_truth: np.ndarray | None,
     diagnostics: PointDiagnostics | None = None,
     limits: Limits = DEFAULT_LIMITS,
@@ -63,7 +64,13 @@ def pair_report(
     return "\n".join(lines)
 
 
-def verdict(estimate, T_truth, limits: Limits, status="", reason="") -> str:
+def verdict(
+    estimate: PointRegistrationResult | None,
+    T_truth: np.ndarray | None,
+    limits: Limits,
+    status: str = "",
+    reason: str = "",
+) -> str:
     """One line; the caller's own status and reason go before what the errors say."""
     if estimate is None or status == "failed":
         return f"× Failed{f': {reason}' if reason else ''}"

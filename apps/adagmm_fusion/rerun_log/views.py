@@ -26,7 +26,7 @@ class Eye:
         center = np.median(np.asarray(points), axis=0)
         reach = float(np.linalg.norm(center))
         position = center + reach * np.array((0.4, -0.6, -1.0))
-        return cls(tuple(map(float, position)), tuple(map(float, center)))
+        return cls(_three(position), _three(center))
 
     @classmethod
     def around(cls, points: np.ndarray) -> "Eye":
@@ -34,13 +34,13 @@ class Eye:
         center = points.mean(axis=0)
         radius = float(np.linalg.norm(points - center, axis=1).max())
         position = center + radius * np.array((0.7, -0.8, -1.6))
-        return cls(tuple(map(float, position)), tuple(map(float, center)))
+        return cls(_three(position), _three(center))
 
     def with_sensors(self) -> "Eye":
         """The same view from a little farther away, aimed so that the sensors are in it as well."""
         position, center = np.array(self.position), np.array(self.look_target)
         between = 0.6 * center
-        return Eye(tuple(map(float, between + 1.05 * (position - center))), tuple(map(float, between)))
+        return Eye(_three(between + 1.05 * (position - center)), _three(between))
 
     def controls(self) -> rrb.EyeControls3D:
         return rrb.EyeControls3D(
@@ -83,3 +83,8 @@ def curve(name: str, entity: str) -> rrb.TimeSeriesView:
 
 def bars(name: str, entity: str) -> rrb.BarChartView:
     return rrb.BarChartView(name=name, origin=entity, plot_legend=rrb.PlotLegend(visible=False))
+
+
+def _three(vector: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = map(float, vector)
+    return x, y, z

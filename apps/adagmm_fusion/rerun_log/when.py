@@ -1,6 +1,8 @@
 """When something is logged: once for all, or as one of many pairs."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -20,7 +22,7 @@ class When:
     frame_index: int | None = None
     em_step: int = 0
 
-    def log(self, rec: rr.RecordingStream, entity: str, *archetypes) -> None:
+    def log(self, rec: rr.RecordingStream, entity: str, *archetypes: Any) -> None:
         """Log what holds for the whole pair."""
         if self.frame_index is None:
             rec.log(entity, *archetypes, static=True)
@@ -30,7 +32,7 @@ class When:
         rec.log(entity, *archetypes)
         rec.reset_time()
 
-    def log_event(self, rec: rr.RecordingStream, entity: str, iteration: int, *archetypes) -> None:
+    def log_event(self, rec: rr.RecordingStream, entity: str, iteration: int, *archetypes: Any) -> None:
         """Log what happened in one EM iteration."""
         if self.frame_index is None:
             rec.set_time(ITERATION, sequence=iteration)
@@ -45,7 +47,9 @@ class When:
         if self.frame_index is not None:
             self.log(rec, entity, rr.Clear(recursive=True))
 
-    def send_rows(self, rec: rr.RecordingStream, entity: str, iterations: np.ndarray, columns_of) -> None:
+    def send_rows(
+        self, rec: rr.RecordingStream, entity: str, iterations: np.ndarray, columns_of: Callable[[slice], Any]
+    ) -> None:
         """Send one row per EM iteration in one call, and the last one as the pair's result.
 
         `columns_of(rows)` gives the component columns for a slice of the rows; `iterations` (n,) are their numbers.

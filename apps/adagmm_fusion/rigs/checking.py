@@ -8,7 +8,7 @@ import numpy as np
 from adagmm_fusion.clouds.building import clouds_from_pair
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.pairs.fusion import mean_pose
-from adagmm_fusion.pairs.pipeline import PARTNER_SPACINGS
+from adagmm_fusion.pairs.partners import partner_distance
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.recordings.frame_sequence import Recording
 from adagmm_fusion.rigs.rig import Rig
@@ -17,7 +17,7 @@ from adagmm_o3d.errors import AdaGMMError
 from adagmm_o3d.evaluation import pose_errors
 
 UNCHANGED, MOVED, UNDECIDED = "unchanged", "moved", "undecided"
-# The mean over frames is taken to be within this many of its standard errors.
+# The true mean is taken to lie within this many standard errors of the mean over frames.
 STANDARD_ERRORS = 2.0
 MIN_FRAMES = 2
 
@@ -45,7 +45,7 @@ class SensorCheck:
 
     rotation_deg, translation_mm : how far the mean of the registered poses is from the rig's.
     rotation_spread_deg, translation_spread_mm : root mean square distance of the frames' poses from their mean.
-    T_target_source : that mean, None if fewer than two frames could be used; so are the numbers then.
+    T_target_source : that mean, None if fewer than two frames could be used or they have none; so are the numbers then.
     """
 
     source: str
@@ -86,14 +86,14 @@ def check_rig(
     poses = {sensors: rig.T_target_source(sensors[1], sensors[0]) for sensors in by_sensors}
     chosen = {sensors: spread_over(indices, max_frames) for sensors, indices in by_sensors.items()}
     total, done, checks = sum(map(len, chosen.values())), 0, []
-    for (source, target), indices in chosen.items():
+    for sensors, indices in chosen.items():
         frames = []
         for index in indices:
-            frames.append(_check_frame(recording, index, poses[source, target], settings))
+            frames.append(_check_frame(recording, index, poses[sensors], settings))
             done += 1
             if on_frame is not None:
                 on_frame(done, total)
-        checks.append(judged(source, target, frames, poses[source, target], max_rotation_deg, max_translation_mm))
+        checks.append(judged(*sensors, frames, poses[sensors], max_rotation_deg, max_translation_mm))
     return checks
 
 
@@ -115,9 +115,9 @@ def judged(
     """The verdict: unchanged, or moved, only if the mean's uncertainty leaves no doubt about it."""
     frames = tuple(frames)
     poses = [frame.T_target_source for frame in frames if frame.T_target_source is not None]
-    if len(poses) < MIN_FRAMES:
-        return SensorCheck(source, target, UNDECIDED, frames)
     T_mean = mean_pose(poses)
+    if len(poses) < MIN_FRAMES or T_mean is None:
+        return SensorCheck(source, target, UNDECIDED, frames)
     moved = pose_errors(T_rig, T_mean)
     apart = [pose_errors(T_mean, T) for T in poses]
     spread_deg = float(np.sqrt(np.mean([e.rotation_deg**2 for e in apart])))
@@ -149,7 +149,7 @@ def _check_frame(recording: Recording, index: int, T_rig: np.ndarray, settings: 
             sensor_model=settings.sensor_model,
             max_depth=settings.max_depth_m,
         )
-        distance = PARTNER_SPACINGS * float(np.mean(target.compute_nearest_neighbor_distance()))
+        distance = partner_distance(target, settings.partner_distance_m)
         result = registration_adaptive_gmm(source, target, distance, T_rig, device=settings.device).details
     except AdaGMMError as problem:
         return FrameCheck(frame, reason=" ".join(str(problem).split()))

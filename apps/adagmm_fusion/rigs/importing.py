@@ -18,13 +18,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adagmm_fusion.errors import RigError
 from adagmm_fusion.files.input_file import read_input
 from adagmm_fusion.files.opencv_nodes import read_nodes
 from adagmm_fusion.files.strict_yaml import Item, read_yaml
-from adagmm_fusion.frames.rgbd import PinholeIntrinsics, checked_rigid_transformation, inverse_rigid
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics, checked_rigid_transformation
 from adagmm_o3d.errors import InputError
+from adagmm_o3d.lie import se_inverse
 
 ROS_MODELS = ("plumb_bob", "rational_polynomial")
 MATRIX_NAMES = ("camera_matrix", "cameraMatrix", "K")
@@ -41,7 +43,7 @@ class ImportedCamera:
     T_stereo_camera: np.ndarray | None = None
 
 
-def read_camera(path, number: int = 1, size: tuple[int, int] | None = None) -> ImportedCamera:
+def read_camera(path: str | Path, number: int = 1, size: tuple[int, int] | None = None) -> ImportedCamera:
     """One camera's calibration.
 
     Parameters
@@ -59,7 +61,7 @@ def read_camera(path, number: int = 1, size: tuple[int, int] | None = None) -> I
     return _ros_camera(path)
 
 
-def read_stereo_pose(path, metres_per_unit: float) -> np.ndarray:
+def read_stereo_pose(path: str | Path, metres_per_unit: float) -> np.ndarray:
     """T_first_second (4, 4) [m] from R and T of an OpenCV file, whose T is in units of `metres_per_unit`."""
     nodes = _nodes(Path(path), ("R", "T"))
     R, t = nodes.get("R", np.empty(0)), nodes.get("T", np.empty(0))
@@ -68,12 +70,12 @@ def read_stereo_pose(path, metres_per_unit: float) -> np.ndarray:
     T_second_first = np.eye(4)
     T_second_first[:3, :3], T_second_first[:3, 3] = R, metres_per_unit * t.ravel()
     try:
-        return inverse_rigid(checked_rigid_transformation(T_second_first, "R, T"))
+        return se_inverse(checked_rigid_transformation(T_second_first, "R, T"))
     except InputError as problem:
         raise RigError(f"{path}: {problem}") from problem
 
 
-def _intrinsics(path: Path, size, K, distortion) -> PinholeIntrinsics:
+def _intrinsics(path: Path, size: tuple[int, int], K: ArrayLike, distortion: ArrayLike) -> PinholeIntrinsics:
     K = np.asarray(K, dtype=float)
     if K.shape != (3, 3) or K[0, 1] != 0 or K[1, 0] != 0 or not np.array_equal(K[2], (0, 0, 1)):
         raise RigError(f"{path}: expected a camera matrix fx 0 cx / 0 fy cy / 0 0 1, got {K.tolist()}")
@@ -138,8 +140,8 @@ def _ros_camera(path: Path) -> ImportedCamera:
     R, P = find("rectification_matrix", "R", "r"), find("projection_matrix", "P", "p")
     if R is None or P is None:
         return ImportedCamera(intrinsics)
-    P = _numbers(P, 12).reshape(3, 4)
-    if P[0, 0] == 0:  # an uncalibrated one is all zeros
+    projection = _numbers(P, 12).reshape(3, 4)
+    if projection[0, 0] == 0:  # an uncalibrated one is all zeros
         return ImportedCamera(intrinsics)
     T_rectified_camera = np.eye(4)
     T_rectified_camera[:3, :3] = _numbers(R, 9).reshape(3, 3)
@@ -148,7 +150,7 @@ def _ros_camera(path: Path) -> ImportedCamera:
     except InputError as problem:
         raise RigError(f"{path}: {problem}") from problem
     # The rectified camera looks along the common frame's axes from where P's last column says: P = K' [I | -position].
-    T[0, 3], T[1, 3] = -P[0, 3] / P[0, 0], -P[1, 3] / P[1, 1]
+    T[0, 3], T[1, 3] = -projection[0, 3] / projection[0, 0], -projection[1, 3] / projection[1, 1]
     return ImportedCamera(intrinsics, T)
 
 

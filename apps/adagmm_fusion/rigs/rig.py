@@ -10,8 +10,9 @@ import numpy as np
 from adagmm_fusion.errors import RigError
 from adagmm_fusion.files.atomic_file import write_text
 from adagmm_fusion.files.strict_yaml import Item, read_yaml
-from adagmm_fusion.frames.rgbd import PinholeIntrinsics, checked_rigid_transformation, inverse_rigid
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics, checked_rigid_transformation
 from adagmm_o3d.errors import InputError
+from adagmm_o3d.lie import se_inverse
 
 FORMAT, VERSION, UNITS, FRAME = "adagmm-rig", 1, "metre", "RDF"
 # Sensor names are folder names in a recording and entity names in the viewer.
@@ -85,7 +86,7 @@ class Rig:
         ------
         RigError  if the rig lacks one of the two sensors, or where one of them is.
         """
-        return inverse_rigid(self._known_pose(target)) @ self._known_pose(source)
+        return se_inverse(self._known_pose(target)) @ self._known_pose(source)
 
     def _known_pose(self, name: str) -> np.ndarray:
         T_rig_sensor = self.sensor(name).T_rig_sensor
@@ -94,7 +95,7 @@ class Rig:
         return T_rig_sensor
 
 
-def load_rig(path) -> Rig:
+def load_rig(path: str | Path) -> Rig:
     """Read a rig file.
 
     Raises
@@ -116,7 +117,7 @@ def load_rig(path) -> Rig:
     return Rig(keys["name"].text(), sensors, description, path)
 
 
-def save_rig(path, rig: Rig):
+def save_rig(path: str | Path, rig: Rig) -> None:
     """Write a rig file that load_rig reads back equal to the last bit. Raises OutputError if it cannot be written."""
     lines = [f"format: {FORMAT}", f"version: {VERSION}", f"name: {_quoted(rig.name)}"]
     if rig.description:

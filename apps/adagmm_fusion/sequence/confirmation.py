@@ -7,12 +7,12 @@ from adagmm_fusion.frames.depth_geometry import depth_in_range
 from adagmm_fusion.frames.rgbd import RGBDFrame
 from adagmm_fusion.pairs.feature_start import FeatureStart
 
-# Matches agree with a pose up to this distance; a registered pose is not that of the features alone.
+# A match agrees with a pose if the pose brings its two points this near. Registered poses are not fitted to matches.
 AGREEMENT_PX = 10.0
-# Depth agrees up to this: what depth cameras are off at the range of a room.
+# Two depths agree if they differ by less than this, the error of depth cameras at the range of a room.
 DEPTH_M, DEPTH_SHARE = 0.05, 0.03
 LEAST_SHARE = 0.6
-# Fewer matches with depth on both sides say nothing.
+# Fewer matches than this with depth on both sides confirm nothing.
 MIN_WITH_DEPTH = 8
 
 

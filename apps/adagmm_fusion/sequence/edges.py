@@ -7,15 +7,16 @@ import numpy as np
 from adagmm_fusion.clouds.building import MIN_DEPTH
 from adagmm_fusion.frames.rgbd import RGBDPair
 from adagmm_fusion.pairs.feature_start import find_feature_start
+from adagmm_fusion.pairs.partners import common_partner_distance
 from adagmm_fusion.pairs.pipeline import register_pair
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.sequence.confirmation import depth_confirms, features_confirm
 from adagmm_o3d.evaluation import information_matrix, overlap_ratio
 
-# One wrong pose bends the whole path, so geometry that the colour images do not confirm must overlap this much; where
-# they do confirm it, it only has to be there.
+# One wrong pose bends the whole path. A pose that the colour images do not confirm therefore needs the first overlap,
+# one that they confirm the second only.
 MIN_OVERLAP_ALONE, MIN_OVERLAP_CONFIRMED = 0.6, 0.15
-# A rig's extrinsics hold its sensors together as this many point pairs a metre away would, more than any registration.
+# A rig's extrinsics weigh as much as this many point pairs at a metre's distance, which is more than any registration.
 RIG_POINTS = 1e5
 
 
@@ -65,12 +66,12 @@ def registered_edge(
     if outcome.estimate is None:
         return refused(outcome.reason)
     T = np.asarray(outcome.T_estimate)
-    clouds = [np.asarray(cloud.points) for cloud in (outcome.source_cloud, outcome.target_cloud)]
-    distance = partner_distance(settings)
+    points, onto = np.asarray(outcome.source_cloud.points), np.asarray(outcome.target_cloud.points)
+    distance = common_partner_distance(settings)  # one for all edges, as their information counts partners
     if features is not None:
         if not features_confirm(features, pair.target, T):
             T = features.T_target_source
-        overlap = overlap_ratio(*clouds, T, distance)
+        overlap = overlap_ratio(points, onto, T, distance)
         if overlap < MIN_OVERLAP_CONFIRMED:
             return refused(f"overlap {overlap:.2f} is below {MIN_OVERLAP_CONFIRMED:g}")
     elif outcome.status != "ok":
@@ -78,9 +79,4 @@ def registered_edge(
     elif outcome.evaluation.overlap < MIN_OVERLAP_ALONE:
         overlap = outcome.evaluation.overlap
         return refused(f"overlap {overlap:.2f} is below {MIN_OVERLAP_ALONE:g} and the colours do not confirm it")
-    return Edge(source, target, T, information_matrix(*clouds, distance, T), loop_closure)
-
-
-def partner_distance(settings: Settings) -> float:
-    """How near points count as partners in the information matrices [m]; the same for all of a graph."""
-    return settings.partner_distance_m or 1.5 * settings.voxel_size_m
+    return Edge(source, target, T, information_matrix(points, onto, distance, T), loop_closure)

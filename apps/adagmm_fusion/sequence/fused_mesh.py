@@ -12,7 +12,8 @@ from adagmm_fusion.meshes.texturing import Texturing
 from adagmm_fusion.meshes.tsdf import TSDFVolume, save_mesh
 from adagmm_fusion.recordings.frame_sequence import Recording
 
-# Up to so many frames the images' own grids make the better surface; a voxel grid needs several views of each place.
+# For up to this many frames the surface is made of the images' own grids. A voxel grid is better where each place has
+# several views.
 MAX_JOINED = 4
 
 

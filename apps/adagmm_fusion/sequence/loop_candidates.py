@@ -9,21 +9,22 @@ from adagmm_fusion.pairs.feature_start import color_features
 from adagmm_fusion.recordings.frame_sequence import Recording
 from adagmm_o3d.errors import AdaGMMError
 
-# A longer recording is taken in so many stretches: gaps are counted in them, and between two of them one loop is
-# enough. In a shorter one each frame is a stretch of its own.
-STRETCHES = 200
-# Frames this near, and so many stretches apart; of each frame, the nearest ones.
+# A long recording is cut into this many segments. Gaps are counted in segments, and two segments need one loop only.
+# In a shorter recording each moment is a segment.
+SEGMENTS = 200
+# Two frames are near if they differ by less than this; of each frame the nearest are taken, if at least so many
+# segments lie between.
 NEAR_ROTATION_DEG, NEAR_TRANSLATION_M, NEAR_PER_FRAME = 25.0, 0.5, 2
 NEAR_MIN_GAP = 3
-# Of each frame, the most alike ones so many stretches apart.
+# Of each frame this many of the most alike are taken, with at least so many segments between.
 ALIKE_PER_FRAME, ALIKE_MIN_GAP = 6, 2
-# The vocabulary: so many words, from so many features of so many frames along the recording.
+# The vocabulary: its words, the features taken of a frame, and the frames along the recording that they come from.
 WORDS, FEATURES_PER_FRAME, VOCABULARY_FRAMES = 48, 400, 64
 
 
-def stretch_length(moments: Iterable[int]) -> int:
-    """How many moments make a stretch."""
-    return 1 + len(set(moments)) // STRETCHES
+def segment_length(moments: Iterable[int]) -> int:
+    """How many moments make a segment."""
+    return 1 + len(set(moments)) // SEGMENTS
 
 
 def near_frames(
@@ -34,7 +35,7 @@ def near_frames(
     T = np.array([poses[frame] for frame in frames])
     moment = np.array([moments[frame] for frame in frames])
     sensor = np.array([sensors[frame] for frame in frames])
-    length = stretch_length(moments.values())
+    length = segment_length(moments.values())
     for i, source in enumerate(frames):
         cosines = (np.einsum("nab,ab->n", T[:i, :3, :3], T[i, :3, :3]) - 1.0) / 2.0
         rotation = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0)))
@@ -68,7 +69,7 @@ def alike_frames(
     for i, frame in enumerate(frames):
         progress(i, len(frames))
         vectors[i] = _vlad(_descriptors(recording, frame), words)
-    moment, length = np.array([moments[frame] for frame in frames]), stretch_length(moments.values())
+    moment, length = np.array([moments[frame] for frame in frames]), segment_length(moments.values())
     chosen: dict[tuple[int, int], None] = {}
     for i in range(len(frames)):
         likeness = vectors @ vectors[i]
@@ -80,8 +81,8 @@ def alike_frames(
 
 
 def thinned(pairs: Iterable[tuple[int, int]], moments: dict[int, int]) -> list[tuple[int, int]]:
-    """Of the pairs between two stretches of a long recording the first: loops side by side say much the same."""
-    length = stretch_length(moments.values())
+    """Of the pairs between two segments of a long recording the first: loops side by side say much the same."""
+    length = segment_length(moments.values())
     if length == 1:
         return list(pairs)
     first: dict[tuple[int, int], tuple[int, int]] = {}
@@ -91,7 +92,7 @@ def thinned(pairs: Iterable[tuple[int, int]], moments: dict[int, int]) -> list[t
 
 
 def _apart(best_first: Iterable[int], moment: np.ndarray, length: int, count: int) -> list[int]:
-    """The first `count` that are not of one stretch."""
+    """The first `count` that are not of one segment."""
     chosen: list[int] = []
     for k in best_first:
         if length == 1 or all(abs(moment[k] - moment[other]) >= length for other in chosen):

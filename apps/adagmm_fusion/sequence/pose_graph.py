@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import open3d as o3d
 
-from adagmm_fusion.frames.rgbd import inverse_rigid
 from adagmm_fusion.sequence.edges import Edge
 from adagmm_o3d import lie
+from adagmm_o3d.lie import se_inverse
 
-# A loop closure that moves its points farther than this against the rest of the graph is taken for wrong. Drift is what
-# loop closures are there to take out, so it must not be much smaller.
+# A loop closure counts as wrong if it moves its points farther than this against the rest of the graph. A much smaller
+# number would drop right ones: they move points by the drift that they take out.
 LOOP_TOLERANCE_M = 0.25
 # Open3D solves for all poses in one dense matrix, so larger graphs are optimised in fragments, and these as a whole.
 MAX_NODES, FRAGMENT_FRAMES = 200, 100
@@ -36,7 +36,7 @@ def chained_poses(edges: Iterable[Edge], first: int = 0) -> Poses:
                 for edge, other in ends[frame]:
                     if other not in poses:
                         forward = other == edge.source
-                        T = edge.transformation if forward else inverse_rigid(edge.transformation)
+                        T = edge.transformation if forward else se_inverse(edge.transformation)
                         poses[other] = poses[frame] @ T
                         following.append(other)
             reached = following
@@ -54,7 +54,7 @@ def optimized_poses(edges: list[Edge], *, first: int = 0) -> tuple[Poses, int]:
     between = [_between(edge, fragments, fragment_of) for edge in used if _crosses(edge, fragment_of)]
     placed, dropped = _optimized(chained_poses(between, fragment_of[first]), between)
     poses = {frame: placed[fragment_of[frame]] @ fragments[fragment_of[frame]][frame] for frame in start}
-    T_first_world = inverse_rigid(poses[first])
+    T_first_world = se_inverse(poses[first])
     return {frame: T_first_world @ pose for frame, pose in poses.items()}, dropped + dropped_inside
 
 
@@ -102,13 +102,13 @@ def _between(edge: Edge, fragments: list[Poses], fragment_of: dict[int, int]) ->
     """An edge between two frames as one between their fragments."""
     source, target = fragment_of[edge.source], fragment_of[edge.target]
     T_target_frame, T_source_frame = fragments[target][edge.target], fragments[source][edge.source]
-    # Open3D weighs motions in the source frame with the information: in the fragment's frame these look otherwise.
-    adjoint = lie.se_adjoint(inverse_rigid(T_source_frame))
+    # Open3D applies the information to motions in the source's frame; the adjoint carries it to the fragment's frame.
+    adjoint = lie.se_adjoint(se_inverse(T_source_frame))
     return replace(
         edge,
         source=source,
         target=target,
-        transformation=T_target_frame @ edge.transformation @ inverse_rigid(T_source_frame),
+        transformation=T_target_frame @ edge.transformation @ se_inverse(T_source_frame),
         information=adjoint.T @ edge.information @ adjoint,
     )
 
@@ -137,6 +137,6 @@ def _optimized(start: Poses, used: list[Edge]) -> tuple[Poses, int]:
                 max_correspondence_distance=LOOP_TOLERANCE_M, edge_prune_threshold=0.25, reference_node=0
             ),
         )
-    T_first_world = inverse_rigid(np.asarray(graph.nodes[0].pose))
+    T_first_world = se_inverse(np.asarray(graph.nodes[0].pose))
     poses = {frame: T_first_world @ np.asarray(graph.nodes[i].pose) for frame, i in nodes.items()}
     return poses, len(used) - len(graph.edges)

@@ -12,7 +12,7 @@ from adagmm_fusion.sequence.pose_graph import chained_poses, connected_sets
 from adagmm_fusion.sequence.scene import Scene
 from adagmm_o3d.errors import AdaGMMError
 
-# A frame that cannot be registered with the one before is tried with those before that.
+# If a frame cannot be registered with the one before it, this many earlier ones are tried.
 MAX_GAP = 3
 
 Progress = Callable[[str, int, int], None]
@@ -67,9 +67,10 @@ class _Registrar:
         return edge
 
     def _pair(self, source: int, target: int) -> RGBDPair:
-        frames = [self._frame(index) for index in (source, target)]
         entries = self._recording.entries
-        return RGBDPair(f"{entries[source].name}_to_{entries[target].name}", *frames, None, 0)
+        return RGBDPair(
+            f"{entries[source].name}_to_{entries[target].name}", self._frame(source), self._frame(target), None, 0
+        )
 
     def _frame(self, index: int) -> RGBDFrame:
         frame = self._kept.pop(index, None) or self._recording.entries[index].load()

@@ -7,10 +7,11 @@ Source: Sturm et al., A Benchmark for the Evaluation of RGB-D SLAM Systems, IROS
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from adagmm_fusion.frames.rgbd import inverse_rigid
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.evaluation import rotation_error_deg
+from adagmm_o3d.lie import se_inverse
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ def trajectory_errors(T_true: np.ndarray, T_est: np.ndarray) -> TrajectoryErrors
     T = align_rigid(T_est[:, :3, 3], T_true[:, :3, 3])
     aligned = T_est[:, :3, 3] @ T[:3, :3].T + T[:3, 3]
     relative = [
-        inverse_rigid(inverse_rigid(T_true[i]) @ T_true[i + 1]) @ inverse_rigid(T_est[i]) @ T_est[i + 1]
+        se_inverse(se_inverse(T_true[i]) @ T_true[i + 1]) @ se_inverse(T_est[i]) @ T_est[i + 1]
         for i in range(len(T_true) - 1)
     ]
     return TrajectoryErrors(
@@ -54,6 +55,7 @@ def trajectory_errors(T_true: np.ndarray, T_est: np.ndarray) -> TrajectoryErrors
 def align_rigid(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
     """The (4, 4) rigid transformation that brings (N, 3) points nearest to their partners, by least squares."""
     mean_points, mean_onto = points.mean(axis=0), onto.mean(axis=0)
+    # Points on a line leave a turn about it free, and any will do: project_to_rotation() would refuse them.
     left, _, right = np.linalg.svd((onto - mean_onto).T @ (points - mean_points))
     T = np.eye(4)
     T[:3, :3] = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
@@ -61,5 +63,5 @@ def align_rigid(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
     return T
 
 
-def _rms(values) -> float:
+def _rms(values: ArrayLike) -> float:
     return float(np.sqrt(np.mean(np.square(values))))

@@ -45,7 +45,11 @@ def nguyen_lateral_std_px(incidence: np.ndarray) -> np.ndarray:
 
 
 def render_depth(
-    scene: Scene, T_world_camera: np.ndarray, rng: np.random.Generator, model: KinectModel, intrinsics=INTRINSICS
+    scene: Scene,
+    T_world_camera: np.ndarray,
+    rng: np.random.Generator,
+    model: KinectModel,
+    intrinsics: PinholeIntrinsics = INTRINSICS,
 ) -> np.ndarray:
     """The sensor's depth image, (H, W) uint16 [mm], 0 where it reports none."""
     columns, rows = np.meshgrid(np.arange(intrinsics.width, dtype=float), np.arange(intrinsics.height, dtype=float))
@@ -69,7 +73,7 @@ def render_depth(
         steps = np.floor(intrinsics.fx * model.baseline_m / noisy / model.disparity_step_px + 0.5)
         measured = intrinsics.fx * model.baseline_m / (steps * model.disparity_step_px)
 
-    # The pattern's projector stands beside the camera, on its right: what it cannot see has no depth.
+    # The projector stands to the right of the camera. Where it casts no light, there is no depth.
     projector = (T_world_camera @ [model.baseline_m, 0.0, 0.0, 1.0])[:3]
     reflecting = np.array([part.returns_infrared for part in scene.parts] + [False])[seen.part]
     missing = edge | ~reflecting | ~scene.visible(seen.points, seen.facet_normals, projector)
@@ -80,7 +84,11 @@ def render_depth(
 
 
 def render_color(
-    scene: Scene, T_world_camera: np.ndarray, rng: np.random.Generator, intrinsics=INTRINSICS, light_samples: int = 4
+    scene: Scene,
+    T_world_camera: np.ndarray,
+    rng: np.random.Generator,
+    intrinsics: PinholeIntrinsics = INTRINSICS,
+    light_samples: int = 4,
 ) -> np.ndarray:
     """The colour image, (H, W, 3) uint8 RGB: four rays a pixel, a ceiling lamp with soft shadows, ambient occlusion."""
     pixels = intrinsics.height * intrinsics.width
@@ -120,7 +128,9 @@ def _radiance(scene: Scene, hits: Hits, samples: list[np.ndarray]) -> np.ndarray
     return albedo**2.2 * (shade + 1.6 * glow[:, None])
 
 
-def _ray_directions(columns, rows, T_world_camera: np.ndarray, intrinsics: PinholeIntrinsics) -> np.ndarray:
+def _ray_directions(
+    columns: np.ndarray, rows: np.ndarray, T_world_camera: np.ndarray, intrinsics: PinholeIntrinsics
+) -> np.ndarray:
     """(N, 3) directions in the world whose length along the optical axis is one."""
     x, y = (columns - intrinsics.cx) / intrinsics.fx, (rows - intrinsics.cy) / intrinsics.fy
     return np.stack([x, y, np.ones_like(x)], axis=1) @ T_world_camera[:3, :3].T

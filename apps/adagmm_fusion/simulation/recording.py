@@ -5,15 +5,16 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adagmm_fusion.errors import OutputError
 from adagmm_fusion.files.atomic_file import replacing, write_text
-from adagmm_fusion.frames.rgbd import inverse_rigid
 from adagmm_fusion.rigs.rig import Rig, SensorCalibration, save_rig
 from adagmm_fusion.simulation.kinect import INTRINSICS, KinectModel, render_color, render_depth
 from adagmm_fusion.simulation.raycast import Scene
 from adagmm_fusion.simulation.room import furnish
 from adagmm_o3d.errors import InputError
+from adagmm_o3d.lie import se_inverse
 
 TARGET, SOURCE = "left", "right"
 DEFAULT_SEED = 7
@@ -22,7 +23,7 @@ SECONDS_BETWEEN_PAIRS = 2.0
 JPEG_QUALITY = 92
 
 
-def look_at(eye, point, roll_deg: float) -> np.ndarray:
+def look_at(eye: ArrayLike, point: ArrayLike, roll_deg: float) -> np.ndarray:
     """(4, 4) T_world_camera of an RDF camera at `eye` whose optical axis goes through `point`; the world's z is up."""
     forward = np.subtract(point, eye) / np.linalg.norm(np.subtract(point, eye))
     right = np.cross(forward, [0.0, 0.0, 1.0])
@@ -43,7 +44,7 @@ T_WORLD_CAMERA = {
 
 def simulated_rig(name: str) -> Rig:
     """The exact rig; its frame is the target's camera frame."""
-    T_rig_world = inverse_rigid(T_WORLD_CAMERA[TARGET])
+    T_rig_world = se_inverse(T_WORLD_CAMERA[TARGET])
     T_rig_sensor = {TARGET: np.eye(4), SOURCE: T_rig_world @ T_WORLD_CAMERA[SOURCE]}
     sensors = {key: SensorCalibration(key, INTRINSICS, DEPTH_SCALE, T) for key, T in T_rig_sensor.items()}
     return Rig(name, sensors, "two simulated Kinects, some 30 degrees apart; exact")
@@ -60,11 +61,11 @@ def render_pair(seed: int, index: int) -> dict[str, tuple[np.ndarray, np.ndarray
 
 
 def simulate_recording(
-    folder,
+    folder: str | Path,
     *,
     pairs: int = 3,
     seed: int = DEFAULT_SEED,
-    calibration=None,
+    calibration: str | Path | None = None,
     on_pair: Callable[[str], None] | None = None,
 ) -> Path:
     """Render a recording into a new folder and write its rig file.

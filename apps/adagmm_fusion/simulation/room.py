@@ -5,8 +5,9 @@ World frame: z up, metres, floor at z = 0; the sensors stand near y = 0 and look
 
 import numpy as np
 
-from adagmm_fusion.simulation.parts import Box, Ellipsoid, Lathe, Part, at, cylinder
+from adagmm_fusion.simulation.parts import Box, Ellipsoid, Lathe, Part, Shape, at, cylinder
 from adagmm_fusion.simulation.textures import (
+    Texture,
     abstract_painting,
     beach_ball,
     book,
@@ -196,7 +197,9 @@ def _wall_pictures() -> list[Part]:
 
 def _coffee_table(x: float, y: float, turn_deg: float) -> list[Part]:
     base = at(x, y, 0.0, turn_deg)
-    parts = [(Box((0.98, 0.56, 0.035)), wood(*PINE, axis=0, seed=50), at(0, 0, 0.42))]
+    parts: list[tuple[Shape, Texture, np.ndarray]] = [
+        (Box((0.98, 0.56, 0.035)), wood(*PINE, axis=0, seed=50), at(0, 0, 0.42))
+    ]
     leg = wood(*PINE, axis=2, seed=51)
     parts += [(Box((0.05, 0.05, 0.41)), leg, at(dx, dy, 0.205)) for dx in (-0.44, 0.44) for dy in (-0.23, 0.23)]
     parts.append((Box((0.86, 0.46, 0.02)), wood(*PINE, axis=0, seed=52), at(0, 0, 0.16)))

@@ -105,7 +105,9 @@ def planks(dark: Color, light: Color, width: float = 0.14, length: float = 1.1, 
     return texture
 
 
-def bricks(tones: Sequence[Color], mortar: Color, size=(0.21, 0.075), joint: float = 0.012, seed: int = 0) -> Texture:
+def bricks(
+    tones: Sequence[Color], mortar: Color, size: Sequence[float] = (0.21, 0.075), joint: float = 0.012, seed: int = 0
+) -> Texture:
     """Brickwork in running bond on any vertical face."""
 
     def texture(points, normals):
@@ -140,7 +142,7 @@ def wallpaper(base: Color, stripe: Color, motif: Color, period: float = 0.24, se
     return texture
 
 
-def rug(size, field: Color, border: Color, accent: Color, seed: int = 0) -> Texture:
+def rug(size: Sequence[float], field: Color, border: Color, accent: Color, seed: int = 0) -> Texture:
     """An oriental rug: fringe, bordered frame with diamonds, and a medallion on a patterned field."""
     half = 0.5 * np.asarray(size[:2])
 
@@ -182,7 +184,7 @@ def fabric(color: Color, check: Color | None = None, period: float = 0.1, seed: 
     return texture
 
 
-def book(cover: Color, size, seed: int = 0) -> Texture:
+def book(cover: Color, size: Sequence[float], seed: int = 0) -> Texture:
     """A book: its cover, two bands around it, and a line of words along the middle of each side."""
     contrast = [0.93, 0.87, 0.66] if sum(cover) < 1.6 else [0.2, 0.16, 0.14]
     long_axis = int(np.argmax(size))
@@ -229,7 +231,7 @@ def globe(seed: int = 3) -> Texture:
     return texture
 
 
-def carton(size, seed: int = 0) -> Texture:
+def carton(size: Sequence[float], seed: int = 0) -> Texture:
     """A cardboard box: tape along the top, a printed label and arrows on the sides."""
 
     def texture(points, normals):
@@ -264,7 +266,7 @@ def stripes(palette: Sequence[Color], period: float, axis: int = 2) -> Texture:
     return lambda points, normals: _choose(np.floor(points[:, axis] / period), palette)
 
 
-def landscape(size, seed: int = 0) -> Texture:
+def landscape(size: Sequence[float], seed: int = 0) -> Texture:
     """A view of hills under a cloudy sky, for windows and pictures; lies in x and z."""
 
     def texture(points, normals):
@@ -281,7 +283,7 @@ def landscape(size, seed: int = 0) -> Texture:
     return texture
 
 
-def abstract_painting(size, palette: Sequence[Color], seed: int = 0) -> Texture:
+def abstract_painting(size: Sequence[float], palette: Sequence[Color], seed: int = 0) -> Texture:
     """Rectangles divided by black lines; lies in x and z."""
 
     def texture(points, normals):

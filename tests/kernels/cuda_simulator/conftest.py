@@ -1,4 +1,4 @@
-"""These tests run in a process of their own, which `tests/test_cuda_simulator.py` starts with the simulator on."""
+"""These tests run in a process of their own, with the simulator on: `test_cuda_simulator.py` starts it."""
 
 import sys
 import threading

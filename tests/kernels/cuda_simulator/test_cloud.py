@@ -53,6 +53,23 @@ def thin(seed):
     return both
 
 
+def singular(seed):
+    """Some covariances flat, some needles, some below zero by rounding, and some zero."""
+    both = clouds(seed)
+    for _, covariances in both:
+        axes = np.linalg.qr(covariances[0])[0]
+        for k, variances in enumerate([(0.0, 0.5, 1.0), (0.0, 0.0, 1.0), (-1e-6, 1e-7, 1.0), (0.0, 0.0, 0.0)]):
+            covariances[7 * k : 7 * k + 7] = (axes * variances) @ axes.T
+    return both
+
+
+def zero_beside_round_ones(seed):
+    both = round_ones(seed)
+    for _, covariances in both:
+        covariances[::5] = 0.0
+    return both
+
+
 def flagged(seed):
     return [(p, mark_outliers(c, np.arange(len(p)) % 9 == 0)) for p, c in clouds(seed)]
 
@@ -79,7 +96,7 @@ def no_points_on_the_host(monkeypatch):
     monkeypatch.setattr(DeviceMixture, "_everything", property(refuse))
 
 
-@pytest.mark.parametrize("make", [full, narrow, round_ones, thin, flagged, far_away])
+@pytest.mark.parametrize("make", [full, narrow, round_ones, thin, singular, zero_beside_round_ones, flagged, far_away])
 def test_mixtures_and_normalisation_are_those_of_the_host(make):
     host, device = on_both(make(1))
     for a, b in zip(host, device, strict=True):
@@ -97,6 +114,7 @@ def test_mixtures_and_normalisation_are_those_of_the_host(make):
 def same_mixture(mixture, expected):
     assert len(mixture) == len(expected) and mixture.isotropic == expected.isotropic
     np.testing.assert_array_equal(mixture.kept, expected.kept)
+    assert mixture.regularised == expected.regularised
     np.testing.assert_allclose(mixture.points, expected.points, rtol=1e-9, atol=1e-9)
     largest = np.abs(expected.covariances).max()
     np.testing.assert_allclose(mixture.covariances, expected.covariances, rtol=1e-9, atol=1e-13 * largest)
@@ -150,7 +168,8 @@ SPOILED = {
     "too many covariances that are not finite": spoil(covariances=(([2, 5], 0, 0), np.nan)),
     "a crooked covariance": spoil(covariances=((8, 0, 1), 9.0)),
     "an indefinite covariance": spoil(covariances=((9, 0, 0), -1.0)),
-    "no covariance": spoil(covariances=(9, 0.0)),
+    "a covariance with a slightly negative eigenvalue": spoil(covariances=(9, np.diag([1.0, 1.0, -1e-4]))),
+    "no covariance": spoil(covariances=(slice(None), 0.0)),
     "two points": spoil(2),
     "many points on a line": spoil(points=((slice(None), slice(1, None)), 2.0)),
     "few points on a line": spoil(9, points=((slice(None), slice(1, None)), 2.0)),
@@ -223,7 +242,7 @@ def test_scores_are_those_of_the_host(make, mutuality, no_points_on_the_host):
     host, device = normalise(*host)[:2], normalise(*device)[:2]
     pose = random_pose(np.random.default_rng(6), 3, angle=0.2, distance=0.1)
     # so small a σ that most tiles are out of each other's reach
-    fit = Fit(pose, 2e-3, 0.2, 30.0, mutuality)
+    fit = Fit(pose, 2e-3, 0.2, mutuality)
     expected = score_moments(PairLoop(*host), *host, fit)
     scores = score_moments(cuda_pairs.CudaPairLoop(*device), *device, fit)
     for what in ("curvature", "by_points", "by_blocks", "matched"):

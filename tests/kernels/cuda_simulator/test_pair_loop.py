@@ -156,7 +156,7 @@ def vectors(sums):
 
 
 def posterior(loop):
-    return PosteriorExpectation(loop, 3, 0.3, unmatched=0.3, mutuality=0.5, volume=30.0)
+    return PosteriorExpectation(loop, 3, 0.3, unmatched=0.3, mutuality=0.5)
 
 
 def adaptive(loop):

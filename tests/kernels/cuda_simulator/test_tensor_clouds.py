@@ -88,6 +88,20 @@ def test_options_work_there_as_well(options):
     np.testing.assert_allclose(result.transformation.numpy(), expected.transformation.numpy(), rtol=0, atol=1e-5)
 
 
+@pytest.mark.parametrize("some_missing", [False, True])
+@pytest.mark.parametrize("voxel_size", [-1.0, 0.4])
+def test_normals_speak_there_as_well(some_missing, voxel_size):
+    clouds = pair(False, o3d.core.float32)[:2]
+    for k, cloud in enumerate(clouds):
+        normals = np.random.default_rng(k).normal(size=(len(cloud.point.positions), 3)).astype(np.float32)
+        normals[:4] *= 0.0 if some_missing else 5.0
+        cloud.point.normals = o3d.core.Tensor(normals)
+    options = {"estimation_method": METHOD, "criteria": CRITERIA, "voxel_size": voxel_size}
+    expected = registration_adaptive_gmm(*clouds, 0.1, device="cpu", **options)
+    result = registration_adaptive_gmm(*clouds, 0.1, **options)
+    np.testing.assert_allclose(result.transformation.numpy(), expected.transformation.numpy(), rtol=0, atol=1e-6)
+
+
 def test_covariances_of_the_wrong_shape_are_refused():
     source, target, _ = pair(False, o3d.core.float64)
     target.point.covariances = o3d.core.Tensor(np.ones((len(target.point.positions), 9)))

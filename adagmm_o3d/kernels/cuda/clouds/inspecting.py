@@ -10,13 +10,14 @@ from numba import float64
 
 from adagmm_o3d.kernels.cuda.clouds.eigen import eigen
 from adagmm_o3d.kernels.cuda.front_end import TILE, cuda, exact, kernel, source_stamp
-from adagmm_o3d.kernels.limits import LEAST_POSITIVE, SKEW, THINNEST
+from adagmm_o3d.kernels.limits import EPSILON, ROUNDING, THINNEST
 
 COVARIANCE, VARIANCE, LARGEST = 3, 9, 10
 POINT_ROWS = 11
-# What may be wrong with a point, of which the first counts; ANISOTROPIC is no fault and added to it.
+# What may be wrong with a point, of which the first counts, and the bits that hold it. What else is found is added: a
+# covariance that is no multiple of the identity, is singular, or is zero.
 FINE, POINT_NOT_FINITE, COVARIANCE_NOT_FINITE, CROOKED, NOT_POSITIVE = range(5)
-ANISOTROPIC = 8
+FAULTS, ANISOTROPIC, SINGULAR, EMPTY = 7, 8, 16, 32
 
 
 @exact
@@ -60,10 +61,11 @@ def _build(given, stamp):
                 for k in range(3):
                     for j in range(k):
                         skew = max(skew, abs(float64(covariances[i, k, j]) - float64(covariances[i, j, k])))
-                if skew > SKEW * size:
+                if skew > ROUNDING * size:
                     found = CROOKED
                 elif size == 0.0:
-                    found = NOT_POSITIVE
+                    found = EMPTY
+                    c00 = c11 = c22 = variance = largest = 0.0
             if found == FINE:
                 c00, c11, c22 = (
                     float64(covariances[i, 0, 0]),
@@ -77,10 +79,11 @@ def _build(given, stamp):
                 l0, l1, l2, x0, x1, x2, y0, y1, y2, z0, z1, z2 = eigen(
                     c00 / size, c01 / size, c02 / size, c11 / size, c12 / size, c22 / size
                 )
-                if l0 <= LEAST_POSITIVE * l2:
+                if l0 < -ROUNDING * max(l2, -l0):
                     found = NOT_POSITIVE
                 elif l0 < THINNEST * l2:
-                    l0, l1 = size * THINNEST * l2, size * max(l1, THINNEST * l2)
+                    found = SINGULAR
+                    l0, l1 = size * EPSILON * l2, size * max(l1, EPSILON * l2)
                     l2 = size * l2
                     c00 = along(l0, l1, l2, x0, x0, y0, y0, z0, z0)
                     c01 = along(l0, l1, l2, x0, x1, y0, y1, z0, z1)
@@ -108,5 +111,22 @@ def _build(given, stamp):
     return inspect
 
 
+def _build_fill(stamp):
+    @kernel
+    def fill_empty(points, variance):
+        """One thread for each point of a table: covariances that are zero become `variance` times the identity."""
+        _ = stamp
+        i = cuda.blockIdx.x * TILE + cuda.threadIdx.x
+        if i < points.shape[1] and points[LARGEST, i] == 0.0:
+            points[COVARIANCE, i] = variance
+            points[COVARIANCE + 3, i] = variance
+            points[COVARIANCE + 5, i] = variance
+            points[VARIANCE, i] = variance
+            points[LARGEST, i] = variance
+
+    return fill_empty
+
+
 inspect_given = _build(True, source_stamp())
 inspect_bare = _build(False, source_stamp())
+fill_empty = _build_fill(source_stamp())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.expectation import MOST_UNMATCHED
+from adagmm_o3d.em.unmatched import COMPARED_SIGMA, world_density
 from adagmm_o3d.kernels.cpu import em as kernel
 from adagmm_o3d.kernels.cpu.ranges import run_in_ranges
 from adagmm_o3d.kernels.formulas import LOG2_SCALE
@@ -84,12 +84,12 @@ def run_starts(
     starts: list[Start],
     *,
     limits: Limits,
-    volume: float,
     level: int,
+    compared_at: float = COMPARED_SIGMA,
 ) -> list[End]:
     """Run EM from every start; the ends, in the order of the starts.
 
-    `volume` is that over which points without a partner are spread, see `expectation.OPEN_VOLUME`.
+    `compared_at` is the σ whose density of points without a partner the ends' likelihoods have in common.
     """
     if not starts:
         return []
@@ -99,7 +99,7 @@ def run_starts(
     history = np.empty((len(starts), max(s.iterations for s in starts), kernel.HISTORY_COLUMNS))
     half, isotropic = 0.5 * source.dimension, source.isotropic and target.isotropic
     sides = source.as_source(isotropic), target.as_target(isotropic)
-    world = (2.0 * math.pi * LOG2_SCALE) ** half / volume
+    world = LOG2_SCALE**half * world_density(source.dimension)
     bounds = limits.floor, limits.least_unmatched, MOST_UNMATCHED
 
     def run(first: int, last: int) -> None:
@@ -110,6 +110,7 @@ def run_starts(
             *sides,
             (source.dimension == 2, isotropic),
             world,
+            compared_at,
             bounds,
             limits.relative_rmse,
             limits.accelerated,

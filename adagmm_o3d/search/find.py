@@ -1,0 +1,151 @@
+"""Where to start and which end to believe: trusted starts first, then whatever is needed to be sure.
+
+Starts come from where the caller says, from common centroids, from a ring around them, from local features, from a grid
+of rotations and from turning a sensor in place; their ends are candidates of one pool, and one judge compares them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from adagmm_o3d.arguments import Array
+from adagmm_o3d.em.runs import End, Start, distinct, pose_distance
+from adagmm_o3d.search import starts
+from adagmm_o3d.search.around import first_end, is_tight, search_around
+from adagmm_o3d.search.features import feature_poses
+from adagmm_o3d.search.levels import Levels
+from adagmm_o3d.search.rotations import APART_AMBIGUOUS, search_globally
+from adagmm_o3d.search.schedule import SAME_START
+from adagmm_o3d.trust.judge import Judge
+
+# Evidence above which a pose stands by itself [nats per point, both clouds together], see `judge.Judge.evidence`.
+ESTABLISHED = 0.4
+# By how much another pose has to explain the clouds better than the one near the start that the caller gave: a little
+# where it stands by itself, more where neither does.
+BETTER, MUCH_BETTER = 0.05, 0.4
+# Two clearly different poses whose evidence, or whose likelihood where noise hides the shape, differs by less [nats per
+# point, both clouds together] cannot be told apart. Measured gaps of likelihood: symmetric bodies sampled twice 0.00 to
+# 0.17 (1 of 30 above), rooms 0.07 and more (4 of 60 below), the simulation's models 1.9 and more.
+AMBIGUOUS, AMBIGUOUS_LIKELIHOOD = 0.1, 0.15
+# A given start is believed at once when the clouds explain each other there this much as well as the halves of one
+# cloud do; or, where noise hides the shape, when this share of the points has a partner.
+KNOWN_AGAIN, PLAUSIBLE = 0.5, 0.1
+
+
+@dataclass(frozen=True)
+class Found:
+    """The end to refine, and whether another, clearly different one explains the clouds as well."""
+
+    end: End
+    ambiguous: bool
+
+
+def find(
+    levels: Levels,
+    *,
+    given: Array | None,
+    identity: Array | None,
+    centroids: bool,
+    everywhere: bool,
+    search: bool,
+    judge: Callable[[], Judge],
+    viewpoints: tuple[Array | None, Array | None],
+) -> Found:
+    """The end to refine on all points.
+
+    Parameters ---------- given : (4, 4) pose that somebody has vouched for, or None.   identity : the input's identity,
+    or None if it means nothing.   centroids : whether common centroids are a start.   everywhere : nothing is known of
+    the pose. search : whether to search where the first end leaves doubt.   judge : made when it is first needed.
+    viewpoints : see `judge.Judge`. All of it between the normalised mixtures.
+    """
+    believed = given if given is not None else identity
+    bases = [base for base in (np.eye(4) if centroids and given is None else None, believed) if base is not None]
+    if everywhere or not bases:
+        bases = [np.eye(4)]
+    if pose_distance(bases[0], bases[-1]) < SAME_START:
+        bases = bases[:1]
+    first = None
+    if not everywhere:
+        first = first_end(levels, [starts.wide(base) for base in bases])
+        if is_tight(levels, first[1]) or not search:
+            return Found(first[1], False)
+    nearby = [] if everywhere or believed is None else levels.run(levels.schedule.near, starts.near(believed), 2)
+    if levels.source.dimension == 2 or not judge().sharp:
+        # Noise hides the shape at the scale of the points: the likelihood at the noise's own scale decides.
+        if first is None:
+            ends = search_globally(levels)
+        elif given is not None and _most_likely([first[1], *nearby]).unmatched <= 1.0 - PLAUSIBLE:
+            return Found(_most_likely([first[1], *nearby]), False)
+        else:
+            ends = search_around(levels, _others(levels, bases), first)
+        return Found(ends[0], is_ambiguous([(end, end.log_likelihood) for end in ends], AMBIGUOUS_LIKELIHOOD))
+    near = _judged(judge(), nearby)
+    if given is not None and near and max(value for _, value in near) >= KNOWN_AGAIN * judge().reference:
+        return _chosen(near, [])
+    rest = [] if first is None else [first[1]]
+    if levels.source.dimension == 3:
+        rest += _proposed(levels, feature_poses(levels.source, levels.target))
+    pool = _judged(judge(), rest)
+    if not pool or max(value for _, value in [*near, *pool]) < ESTABLISHED:
+        more = search_globally(levels) if first is None else search_around(levels, _others(levels, bases), first)
+        if viewpoints[0] is not None and viewpoints[1] is not None:
+            more += starts_in_place(levels, viewpoints[0], viewpoints[1])
+        pool += _judged(judge(), more)
+    return _chosen(near, pool)
+
+
+def _most_likely(ends: list[End]) -> End:
+    return max(ends, key=lambda end: end.log_likelihood)
+
+
+def _others(levels: Levels, bases: list[Array]) -> list[Start]:
+    """Starts around the bases of the first end."""
+    return [*starts.around(bases[0], levels.source.dimension), *(starts.narrow(base) for base in bases[1:])]
+
+
+def _proposed(levels: Levels, poses: list[Array]) -> list[End]:
+    """Where the first few clearly different poses lead."""
+    level = levels.schedule.proposed
+    kept: list[Array] = []
+    for pose in poses:
+        if len(kept) < level.kept and all(pose_distance(pose, other) > level.apart for other in kept):
+            kept.append(pose)
+    begin = [Start(pose, level.sigma or 0.0, 0.4, level.fastest, level.iterations, level.follow) for pose in kept]
+    return levels.run(level, begin, 2)
+
+
+def starts_in_place(levels: Levels, source_viewpoint: Array, target_viewpoint: Array) -> list[End]:
+    """Where a sensor leads that was turned, not moved, between the two clouds."""
+    level = levels.schedule.in_place
+    poses = starts.turned_in_place(source_viewpoint, target_viewpoint)
+    begin = [Start(pose, level.sigma or 0.0, 0.4, level.fastest, level.iterations, level.follow) for pose in poses]
+    ends = distinct(levels.run(level, begin, 0), level.kept, level.apart)
+    return levels.carry_on(levels.schedule.proposed, ends, 2)
+
+
+def _judged(judge: Judge, ends: list[End]) -> list[tuple[End, float]]:
+    return list(zip(ends, judge.evidence([end.pose for end in ends]).tolist(), strict=True)) if ends else []
+
+
+def _chosen(near: list[tuple[End, float]], pool: list[tuple[End, float]]) -> Found:
+    """The best of the pool, or the best near the given start where none is clearly better."""
+    ranked = sorted([*near, *pool], key=lambda item: -item[1])
+    best = ranked[0]
+    if near:
+        at_start = max(near, key=lambda item: item[1])
+        wanted = BETTER if best[1] >= ESTABLISHED else MUCH_BETTER
+        if best[1] < at_start[1] + wanted:
+            best = at_start
+    rivals = [item for item in ranked if item is not best]
+    return Found(best[0], is_ambiguous([best, *rivals], AMBIGUOUS))
+
+
+def is_ambiguous(ranked: list[tuple[End, float]], gap: float) -> bool:
+    """Whether a clearly different pose explains the clouds as well as the first."""
+    best, value = ranked[0]
+    return any(
+        value - other < gap and pose_distance(best.pose, end.pose) > APART_AMBIGUOUS for end, other in ranked[1:]
+    )

@@ -1,0 +1,114 @@
+"""Which of many poses to believe: how well each explains both clouds at the finest scale at which they know their
+shape.
+
+A loose fit of everything beats the exact fit of a half while the mixtures are wide, and every end of EM has a width of
+its own. So all poses are compared at one scale, the finest at which one half of a cloud still explains the other: below
+it, noise and sampling decide. Covariances that are thin across the surface make it a matter of normals too. Where
+viewpoints are known, points that one sensor has seen through count against a pose.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from adagmm_o3d.arguments import Array
+from adagmm_o3d.em.runs import Limits, Start, run_starts
+from adagmm_o3d.lie import se_inverse
+from adagmm_o3d.mixtures.merging import MergedMixture
+from adagmm_o3d.mixtures.mixture import Mixture
+from adagmm_o3d.mixtures.sampling import quantile, some_of
+from adagmm_o3d.mixtures.spacing import spacing_of
+from adagmm_o3d.trust.free_space import RangeImage
+
+# Points of either cloud that are asked.
+JUDGED = 1000
+# The finest scale of all: along the surface the mixtures are as wide as this share of the spacing of these points.
+FINEST = 0.5
+# The scales, each so many times the one before, and the last.
+COARSER, COARSEST = 2.0, 0.1
+# By so many steps from the finest scale the shape may still be known.
+SHARP = 2
+# The share of points that may have no partner, and the evidence that one half of a cloud has to find for the other
+# [nats per point, both together].
+UNMATCHED, KNOWN_SHAPE = 0.4, 1.0
+# How much coarser a single pose is looked at.
+LENIENT = 4.0
+# What it costs a pose if all points of one cloud lie where the other's sensor saw nothing [nats].
+VIOLATION = 8.0
+# Points that a range image is made of, and that are asked whether they violate it.
+IMAGED, ASKED = 20_000, 2000
+
+
+class Judge:
+    """Compares poses between two normalised mixtures; `sides` are at most JUDGED of the points of either.
+
+    viewpoints : from where the source and the target were seen, (3,) each in its own cloud's normalised coordinates, or
+    None where that is not known.
+    """
+
+    def __init__(
+        self,
+        source: Mixture,
+        target: Mixture,
+        sides: tuple[MergedMixture, MergedMixture],
+        viewpoints: tuple[Array | None, Array | None] = (None, None),
+    ) -> None:
+        self._sides = sides
+        self.sigma, self.reference, coarsened = self._finest_scale()
+        # Whether the points' own spacing, or nearly, is the scale: where noise hides it, no shape can be recognised.
+        self.sharp = coarsened <= SHARP and self.reference >= KNOWN_SHAPE
+        self._seen = [
+            None if viewpoint is None else RangeImage(_some_points(mixture, IMAGED), viewpoint)
+            for mixture, viewpoint in zip((source, target), viewpoints, strict=True)
+        ]
+        self._asked = [
+            np.empty((0, 3)) if seen is None else _some_points(mixture, ASKED)
+            for mixture, seen in zip((source, target), self._seen[::-1], strict=True)
+        ]
+
+    def evidence(self, poses: list[Array]) -> Array:
+        """(k,) mean log-likelihood of the points, both clouds together, beyond that of having no partner at all [nats].
+
+        Above 0 it is likelier that the clouds overlap as the pose says than that they do not overlap.
+        """
+        evidence = _evidence(self._sides, poses, self.sigma)
+        for k, pose in enumerate(poses):
+            evidence[k] -= VIOLATION * self._violations(pose)
+        return evidence
+
+    def confidence(self, pose: Array) -> float:
+        """The same of one pose, at a scale so many times coarser that a small bias of a sensor does not matter."""
+        return float(_evidence(self._sides, [pose], self.sigma * LENIENT)[0]) - VIOLATION * self._violations(pose)
+
+    def _violations(self, pose: Array) -> float:
+        share = 0.0
+        for seen, asked, motion in zip(self._seen[::-1], self._asked, (pose, se_inverse(pose)), strict=True):
+            if seen is not None:
+                share += seen.violations(asked @ motion[:3, :3].T + motion[:3, 3])
+        return share
+
+    def _finest_scale(self) -> tuple[float, float, int]:
+        """The finest σ at which the halves of both clouds explain each other, and how well they do."""
+        reach = max(spacing_of(side.points) for side in self._sides)
+        widest = max(float(quantile(side.largest_variances, 0.5)) for side in self._sides)
+        sigma = (FINEST * reach) ** 2 / widest
+        halves = [(side.take(slice(0, None, 2)), side.take(slice(1, None, 2))) for side in self._sides]
+        for coarsened in itertools.count():
+            known = min(float(_evidence(pair, [np.eye(4)], sigma)[0]) for pair in halves)
+            if known >= KNOWN_SHAPE or sigma * COARSER > COARSEST:
+                return sigma, known, coarsened
+            sigma *= COARSER
+        raise AssertionError
+
+
+def _some_points(mixture: Mixture, count: int) -> Array:
+    return mixture.points_at(some_of(np.arange(len(mixture)), count))
+
+
+def _evidence(sides: tuple[MergedMixture, MergedMixture], poses: list[Array], sigma: float) -> Array:
+    """The likelihood of EM of no iterations."""
+    starts = [Start(pose, sigma, UNMATCHED, fastest=1.0, iterations=0, follow=1.0) for pose in poses]
+    ends = run_starts(*sides, starts, limits=Limits(sigma, UNMATCHED, 0.0), level=0, compared_at=sigma)
+    return np.array([end.log_likelihood for end in ends])

@@ -1,0 +1,109 @@
+"""One method on one pair, as a record that goes into the journal."""
+
+from __future__ import annotations
+
+import time
+from functools import cache
+
+import numpy as np
+
+from adagmm_bench.methods import METHODS
+from adagmm_bench.methods.ours import register_clouds
+from adagmm_bench.pairs.problem import PairClouds, plain_pair
+from adagmm_bench.speed.large import surface_pair
+from adagmm_bench.trial import TrialJob, orthonormal, seed_generators
+from adagmm_o3d.errors import InputError
+from adagmm_o3d.evaluation import overlap_ratio, rotation_error_deg
+
+# Points on a grid of 0.04 units nearer than 0.06 are partners: this is the overlap that a pose has, ours or the truth.
+OVERLAP_GRID, OVERLAP_DISTANCE = 0.04, 0.06
+
+
+def run_pair_trial(job: TrialJob) -> dict:
+    """Register a pair and judge. A method that raises is a record too, with the identity for a pose.
+
+    The errors are a rotation in degrees and the displacement of the pair's centre in units; None without a truth. Ours
+    add what they say of themselves: `overlap`, `warnings`.
+    """
+    method = METHODS[job.method]
+    if (reason := method.missing()) is not None:
+        raise InputError(f"{job.method} {reason} on this worker")
+    clouds = job.problem.load()
+    _warm_up(job.method)
+    seed_generators()
+    started, started_cpu = time.perf_counter(), time.process_time()
+    status, reason, said = "ok", "", {}
+    try:
+        T, said = register_pair(job.method, clouds)
+    except Exception as error:  # a peer may raise anything, and that is its result
+        status, reason = "failed", " ".join(f"{type(error).__name__}: {error}".split())
+    seconds, cpu_seconds = time.perf_counter() - started, time.process_time() - started_cpu
+    if status == "ok" and not np.isfinite(T).all():
+        status, reason = "failed", "the pose is not finite"
+    T = orthonormal(T) if status == "ok" else np.eye(4)
+    return {
+        "key": job.key,
+        "method": job.method,
+        "start": job.start,
+        "version": method.version(),
+        "problem": job.problem.facts(),
+        "status": status,
+        "reason": reason,
+        "seconds": seconds,
+        "cpu_seconds": cpu_seconds,
+        "T_target_source": T.tolist(),
+        "unit": clouds.unit,
+        "centre": clouds.centre.tolist(),
+        "limits": list(clouds.limits),
+        **_judged(clouds, T),
+        **said,
+    }
+
+
+def register_pair(name: str, clouds: PairClouds) -> tuple[np.ndarray, dict]:
+    """The pose (4, 4) that a method finds, and what ours say of it."""
+    if not METHODS[name].ours:
+        T = np.array(METHODS[name](*clouds.for_peers()), dtype=float)
+        T[:3, 3] *= clouds.unit
+        return T, {}
+    result = register_clouds(
+        name,
+        clouds.source,
+        clouds.target,
+        0.1 * clouds.unit,
+        init=clouds.init,
+        source_viewpoint=clouds.source_viewpoint,
+        target_viewpoint=clouds.target_viewpoint,
+    )
+    return result.transformation, {"overlap": result.overlap, "warnings": list(result.warnings)}
+
+
+def pose_difference(T_true: np.ndarray, T: np.ndarray, centre: np.ndarray, unit: float) -> tuple[float, float]:
+    """Between two poses: degrees, and how far apart they take the centre, in units."""
+    apart = (T_true - T)[:3, :3] @ centre + (T_true - T)[:3, 3]
+    return rotation_error_deg(T_true, T), float(np.linalg.norm(apart)) / unit
+
+
+def _judged(clouds: PairClouds, T: np.ndarray) -> dict:
+    if clouds.T_target_source is None:
+        return {"rotation_error_deg": None, "translation_error": None, "overlap_truth": None}
+    degrees, displacement = pose_difference(clouds.T_target_source, T, clouds.centre, clouds.unit)
+    source, target = (
+        np.asarray(cloud.voxel_down_sample(OVERLAP_GRID * clouds.unit).points)
+        for cloud in (clouds.peers_source, clouds.peers_target)
+    )
+    overlap = overlap_ratio(source, target, clouds.T_target_source, OVERLAP_DISTANCE * clouds.unit)
+    return {"rotation_error_deg": degrees, "translation_error": displacement, "overlap_truth": overlap}
+
+
+@cache
+def _warm_up(name: str) -> None:
+    """Imports and compilation of a method happen before its first trial is timed: for small clouds and for large ones,
+    which run in another loop."""
+    for points in (500, 4000):
+        problem = surface_pair(points)
+        pair = plain_pair(problem.source.points, problem.target.points, None, unit=1.0)
+        try:
+            register_pair(name, pair)
+        except Exception:
+            return  # the trial itself will show and record it

@@ -1,0 +1,138 @@
+"""Covariances of a spinning LiDAR: the beam's part by hand, the surface between rings, and what they do for a pose."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from lidar_scene import HEIGHT, Lidar, Street, drive, scan_pair
+
+from adagmm_o3d import estimate_lidar_covariances, estimate_surface_covariances, register_points
+from adagmm_o3d.evaluation import pose_errors
+from adagmm_o3d.lie import se_inverse
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def scattered(seed, count=30):
+    """Points so far apart that none has a neighbour, on a grid of float64's own."""
+    rng = np.random.default_rng(seed)
+    cells = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    chosen = rng.choice(cells[np.abs(cells).max(axis=1) > 0], count, replace=False)
+    return 16.0 * chosen + np.round(rng.uniform(-2.0, 2.0, (count, 3)) * 2**20) / 2**20
+
+
+def wall(distance, angle, n=400):
+    """Points of a plane at that distance along x, seen under that angle of incidence, and its normal."""
+    rng = np.random.default_rng(0)
+    normal = np.array([-math.cos(angle), math.sin(angle), 0.0])
+    along = np.array([math.sin(angle), math.cos(angle), 0.0])
+    u, v = rng.uniform(-0.5, 0.5, (2, n, 1))
+    return np.array([distance, 0.0, 0.0]) + u * along + v * np.array([0.0, 0.0, 1.0]), normal
+
+
+@given(seed=seeds, range_noise=st.floats(0.0, 1.0), beam_noise=st.floats(0.0, 0.01), extent=st.floats(0.1, 3.0))
+def test_where_there_is_no_surface_the_beam_alone_speaks(seed, range_noise, beam_noise, extent):
+    points = scattered(seed)
+    covariances = estimate_lidar_covariances(points, range_noise=range_noise, beam_noise=beam_noise, extent=extent)
+    ranges = np.linalg.norm(points, axis=1)
+    beams = points / ranges[:, None]
+    np.testing.assert_allclose(
+        np.einsum("nij,nj->ni", covariances, beams), (extent**2 + range_noise**2) * beams, rtol=1e-9, atol=1e-9
+    )
+    total = 3.0 * extent**2 + range_noise**2 + 2.0 * (ranges * beam_noise) ** 2
+    np.testing.assert_allclose(np.trace(covariances, axis1=1, axis2=2), total, rtol=1e-9, atol=0)
+    np.testing.assert_allclose(covariances, covariances.transpose(0, 2, 1), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("distance", [3.0, 10.0, 40.0])
+@pytest.mark.parametrize("angle_deg", [0.0, 45.0, 80.0])
+def test_a_plane_is_as_thick_as_range_and_beam_make_it_at_the_angle_of_incidence(distance, angle_deg):
+    points, normal = wall(distance, math.radians(angle_deg))
+    covariances = estimate_lidar_covariances(points, range_noise=0.03, beam_noise=2e-3)
+    ranges = np.linalg.norm(points, axis=1)
+    cosine = np.abs(points @ normal) / ranges
+    expected = (0.03 * cosine) ** 2 + (ranges * 2e-3) ** 2 * (1.0 - cosine**2)
+    across = np.einsum("i,nij,j->n", normal, covariances, normal)
+    np.testing.assert_allclose(across, expected, rtol=1e-6, atol=1e-9)
+    along = np.linalg.eigvalsh(covariances)[:, 1:]
+    assert (along > 0.99).all() and (along < 1.02).all()
+
+
+def test_a_rough_surface_is_as_thick_as_it_is_rough():
+    points, normal = wall(10.0, 0.0, n=4000)
+    rng = np.random.default_rng(1)
+    thickness = []
+    for roughness in (0.0, 0.03, 0.1):
+        rough = points + roughness * rng.normal(size=(len(points), 1)) * normal
+        covariances = estimate_lidar_covariances(rough, range_noise=0.0, beam_noise=0.0)
+        thickness.append(np.sqrt(np.median(np.einsum("i,nij,j->n", normal, covariances, normal))))
+    assert thickness[0] < 1e-6
+    assert 0.015 < thickness[1] < 0.06 and 0.05 < thickness[2] < 0.15
+
+
+@given(seed=seeds)
+def test_the_sensor_need_not_be_at_the_origin(seed):
+    points = np.concatenate([scattered(seed), wall(10.0, 0.3)[0]])
+    points = np.round(points * 2**20) / 2**20
+    shift = np.array([64.0, -32.0, 8.0])
+    expected = estimate_lidar_covariances(points)
+    np.testing.assert_allclose(estimate_lidar_covariances(points + shift, origin=shift), expected, rtol=0, atol=1e-9)
+
+
+def test_a_beam_without_a_return_has_no_say():
+    points = np.concatenate([wall(10.0, 0.3)[0], np.zeros((30, 3))])
+    covariances = estimate_lidar_covariances(points)
+    np.testing.assert_array_equal(covariances[-30:], np.broadcast_to(1e6 * np.eye(3), (30, 3, 3)))
+    np.testing.assert_array_equal(covariances[:-30], estimate_lidar_covariances(points[:-30]))
+
+
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_a_few_points_are_enough(count):
+    covariances = estimate_lidar_covariances(scattered(0)[:count])
+    assert covariances.shape == (count, 3, 3) and np.isfinite(covariances).all()
+    assert estimate_lidar_covariances(np.zeros((2, 3))).shape == (2, 3, 3)
+
+
+def normal_errors_deg(covariances, normals):
+    thin = np.linalg.eigh(covariances)[1][:, :, 0]
+    return np.degrees(np.arccos(np.minimum(np.abs(np.einsum("ni,ni->n", thin, normals)), 1.0)))
+
+
+@pytest.mark.parametrize("n_rings", [16, 32, 64])
+def test_normals_are_found_between_rings(n_rings):
+    pose = np.eye(4)
+    pose[2, 3] = HEIGHT
+    scan = Street(1).scan(pose, Lidar(n_rings=n_rings))
+    road = (scan.normals[:, 2] > 0.99) & (np.linalg.norm(scan.points, axis=1) < 12.0)
+    ours = normal_errors_deg(estimate_lidar_covariances(scan.points), scan.normals)
+    assert road.sum() > 5000 and np.median(ours[road]) < 1.0 and np.median(ours) < 2.0
+    if n_rings == 16:
+        # the nearest points are those of one ring
+        assert np.median(normal_errors_deg(estimate_surface_covariances(scan.points), scan.normals)[road]) > 5.0
+
+
+@pytest.mark.parametrize(("distance", "angle_deg"), [(0.1, 1.0), (0.5, 2.0), (1.0, 5.0), (2.0, 10.0)])
+def test_rings_are_not_registered_to_each_other(distance, angle_deg):
+    for seed in range(2):
+        source, target, T = scan_pair(seed, distance, angle_deg)
+        covariances = estimate_lidar_covariances(source), estimate_lidar_covariances(target)
+        errors = pose_errors(T, register_points(source, target, *covariances).transformation)
+        assert errors.rotation_deg < 0.03 and errors.translation < 0.015
+
+
+def test_scans_are_of_one_street_and_poses_exact():
+    street, lidar = Street(2), Lidar(range_noise=0.0)
+    here, there = drive(8, step=1.5)[[2, 4]]
+    a, b = street.scan(here, lidar), street.scan(there, lidar)
+    T = se_inverse(there) @ here
+    moved = a.points @ T[:3, :3].T + T[:3, 3]
+    # the road below the one scan is the road below the other
+    level = [s.normals[:, 2] > 0.999 for s in (a, b)]
+    near = [np.linalg.norm(p, axis=1) < 6.0 for p in (moved, b.points)]
+    heights = [np.median(p[k & n, 2]) for p, k, n in zip((moved, b.points), level, near, strict=True)]
+    assert abs(heights[0] - heights[1]) < 0.02
+    assert set(np.unique(a.rings)) <= set(range(32)) and len(a.points) == len(a.normals) == len(a.rings)
+    elevations = np.degrees(np.arcsin(a.points[:, 2] / np.linalg.norm(a.points, axis=1)))
+    np.testing.assert_allclose(elevations, np.linspace(-24.0, 4.0, 32)[a.rings], rtol=0, atol=1e-9)

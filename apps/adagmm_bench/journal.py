@@ -6,12 +6,12 @@ is an error.
 
 from __future__ import annotations
 
-import fcntl
 import os
 from pathlib import Path
 
 from adagmm_fusion.errors import OutputError
 from adagmm_fusion.files.atomic_file import check_output_file
+from adagmm_fusion.files.file_lock import lock
 from adagmm_fusion.files.journal_lines import open_for_appending, sealed, unsealed
 from adagmm_o3d.errors import InputError
 
@@ -31,12 +31,13 @@ class Journal:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = os.fdopen(open_for_appending(path), "a+b", buffering=0)  # closed by __exit__
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if not lock(self._file.fileno()):
+                self._file.close()
+                raise OutputError(f"{path}: another run is writing here; give this one another --output")
             if fresh:
                 self._file.truncate(0)
-        except BlockingIOError as error:
-            self._file.close()
-            raise OutputError(f"{path}: another run is writing here; give this one another --output") from error
+        except OutputError:
+            raise
         except OSError as error:
             raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
         try:

@@ -5,12 +5,12 @@ import pytest
 from depth_scene import BALL_CENTRE, BALL_RADIUS, PLANES, camera_pose, render
 
 from adagmm_fusion.clouds.building import (
-    SENSOR_MODELS,
     cloud_from_frame,
     clouds_from_pair,
     dense_cloud,
     find_voxel_size,
 )
+from adagmm_fusion.clouds.sensor_models import sensor_models
 from adagmm_fusion.frames.depth_geometry import depth_edges, grid_normals, pixel_rays
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame, RGBDPair
 from adagmm_fusion.meshes.depth_grid import textured_grid
@@ -155,7 +155,7 @@ def test_a_small_cloud_stays_whole():
     assert len(cloud_from_frame(frame).points) == len(dense_cloud(frame).points)
 
 
-@pytest.mark.parametrize("sensor_model", SENSOR_MODELS)
+@pytest.mark.parametrize("sensor_model", sensor_models())
 def test_covariances_come_from_the_sensor_model(sensor_model):
     cloud = cloud_from_frame(room_frame(), sensor_model=sensor_model)
     points, normals = np.asarray(cloud.points), np.asarray(cloud.normals)

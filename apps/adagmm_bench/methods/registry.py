@@ -22,7 +22,10 @@ import numpy as np
 
 from adagmm_bench.problem import Cloud
 from adagmm_fusion.source_digest import source_digest
+from adagmm_o3d.entry_points import entry_points, load
 from adagmm_o3d.errors import InputError
+
+GROUP = "adagmm_bench.methods"
 
 Function = Callable[[Cloud, Cloud], np.ndarray]
 
@@ -60,9 +63,11 @@ class Method:
 # Where the problem, the call and the judgement of a trial are written.
 TRIAL_SOURCES = (
     "adagmm_bench.methods",
+    "adagmm_bench.archives",
     "adagmm_bench.covariance_trial",
     "adagmm_bench.extra_pairs",
     "adagmm_bench.models",
+    "adagmm_bench.pairs",
     "adagmm_bench.problem",
     "adagmm_bench.scenes",
     "adagmm_bench.simulation",
@@ -74,6 +79,17 @@ TRIAL_SOURCES = (
 )
 
 METHODS: dict[str, Method] = {}
+# Other packages' modules of methods that cannot be used, with the reason.
+UNUSABLE: dict[str, str] = {}
+
+
+def register_others() -> None:
+    """Import the modules that other packages' entry points name, which enters their methods."""
+    for name, entry in entry_points(GROUP).items():
+        try:
+            load(entry)
+        except InputError as error:
+            UNUSABLE[name] = str(error)
 
 
 def method(
@@ -105,7 +121,7 @@ def choose_methods(names: Sequence[str] | None, dimension: int) -> tuple[list[Me
     """
     if names is not None and (unknown := [name for name in names if name not in METHODS]):
         raise InputError(f"methods: unknown {', '.join(unknown)}; known are {', '.join(METHODS)}")
-    chosen, skipped = [], []
+    chosen, skipped = [], list(UNUSABLE.values()) if names is None else []
     for entry in METHODS.values():
         if (names is None and not entry.default) or (names is not None and entry.name not in names):
             continue

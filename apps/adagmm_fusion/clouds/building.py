@@ -4,16 +4,12 @@ covariances."""
 import numpy as np
 import open3d as o3d
 
+from adagmm_fusion.clouds.sensor_models import NONE, sensor_models
 from adagmm_fusion.frames.depth_geometry import back_project, depth_edges, depth_in_range, grid_normals
 from adagmm_fusion.frames.rgbd import RGBDFrame, RGBDPair
 from adagmm_o3d.errors import InputError
-from adagmm_o3d.uncertainty import (
-    estimate_kinect_covariances,
-    estimate_nguyen_covariances,
-    estimate_surface_covariances,
-)
+from adagmm_o3d.uncertainty.sensor_models import estimate_sensor_covariances
 
-SENSOR_MODELS = ("kinect", "nguyen", "surface", "none")
 # The paper registered clouds of 3000 to 4000 points.
 TARGET_POINTS = 3500
 MIN_DEPTH, MAX_DEPTH = 0.1, 6.0
@@ -37,8 +33,7 @@ def cloud_from_frame(
     ----------
     voxel_size : [m]; None takes the size that leaves about `target_points`.
     sensor_model : where covariances come from: "kinect" (Pu et al. Eq. 6, relative), "nguyen" (Nguyen et al. 2012,
-    m^2), "surface"
-        (the points' own neighbourhood), or "none".
+        m^2), "surface" (the points' own neighbourhood), another package's (see `uncertainty.sensor_models`), or "none".
     min_depth, max_depth : [m], along the optical axis; what lies outside is left out.
 
     Returns
@@ -130,15 +125,11 @@ def _sparse_cloud(
     cloud = dense.voxel_down_sample(voxel_size)
     cloud.normalize_normals()
     points, normals = np.asarray(cloud.points), np.asarray(cloud.normals)
-    if sensor_model == "kinect":
-        covariances = estimate_kinect_covariances(points, normals)
-    elif sensor_model == "nguyen":
-        covariances = estimate_nguyen_covariances(points, normals, (frame.intrinsics.fx, frame.intrinsics.fy))
-    elif sensor_model == "surface":
-        covariances = estimate_surface_covariances(points, normals)
-    elif sensor_model == "none":
+    if sensor_model not in sensor_models():
+        raise InputError(f"sensor_model: expected one of {', '.join(sensor_models())}, got {sensor_model!r}")
+    if sensor_model == NONE:
         return cloud
-    else:
-        raise InputError(f"sensor_model: expected one of {', '.join(SENSOR_MODELS)}, got {sensor_model!r}")
+    focal_lengths = (frame.intrinsics.fx, frame.intrinsics.fy)
+    covariances = estimate_sensor_covariances(sensor_model, points, normals, focal_lengths)
     cloud.covariances = o3d.utility.Matrix3dVector(covariances)
     return cloud

@@ -12,7 +12,7 @@ def add(commands: argparse._SubParsersAction) -> None:
     text = (
         "Find intrinsics, distortion and extrinsics of a rig from images of a chessboard or ChArUco board that its "
         "sensors saw at the same moments. IMAGES has a folder SENSOR/color for each sensor, and SENSOR/depth to check "
-        "its depth unit; see calibration/README.md."
+        "its depth unit."
     )
     command = commands.add_parser("calibrate", help="make a rig file from images of a board", description=text)
     command.add_argument("images", metavar="IMAGES", help="the folder of board images")

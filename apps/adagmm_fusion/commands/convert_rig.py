@@ -20,7 +20,7 @@ def add(commands: argparse._SubParsersAction) -> None:
     command.add_argument("--stereo", metavar="FILE", help="an OpenCV file with R, T of two sensors: x2 = R x1 + T")
     command.add_argument(
         "--length-unit",
-        choices=METRES_PER_UNIT,
+        choices=tuple(METRES_PER_UNIT),
         default="m",
         help="of T in --stereo: the unit that the board's squares were given in (default: %(default)s)",
     )

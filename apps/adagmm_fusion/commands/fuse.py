@@ -18,7 +18,7 @@ REGISTERED_WITH = ("numba", "numpy", "open3d", "opencv-python-headless", "scipy"
 
 
 def add(commands: argparse._SubParsersAction) -> None:
-    from adagmm_fusion.rerun_log import add_rerun_arguments
+    from adagmm_fusion.rerun_arguments import add_rerun_arguments
 
     text = (
         "Register the frames of a recording with each other, make their poses consistent with loop closures and a pose "

@@ -43,10 +43,13 @@ from adagmm_o3d.errors import InputError
 
 MAX_DIGITS = 100  # of a range of pairs
 TABLE_WIDTH = 150  # of the table where the output is no terminal
+# Exit codes. 1 is an error, 2 wrong usage, and 3 and 4 are `verify`'s.
+SOME_FAILED, ALL_FAILED = 5, 6
 
 
 def run(args: argparse.Namespace, settings: Settings) -> int:
-    """Run over args.recording; returns the exit code: 0, or 130 or 143 if it was stopped, with what was finished kept.
+    """Run over args.recording; returns the exit code, see `verdict`, or 130 or 143 if it was stopped, with what was
+    finished kept.
 
     Raises
     ------
@@ -111,8 +114,17 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
             # Whoever has hung up reads no more of it.
             with contextlib.nullcontext() if stopped is None else contextlib.suppress(OSError):
                 display.stop()
-                _print(report, folder, paths, to_stderr=args.stdout)
-    return 0 if stopped is None else exit_code(stopped)
+                if not args.quiet:
+                    _print(report, folder, paths, to_stderr=args.stdout)
+    ok = sum(record.status == "ok" for record in records)
+    return verdict(ok, len(records), strict=args.strict) if stopped is None else exit_code(stopped)
+
+
+def verdict(ok: int, pairs: int, *, strict: bool) -> int:
+    """The exit code of a run of which `ok` pairs of `pairs` succeeded."""
+    if pairs and not ok:
+        return ALL_FAILED
+    return SOME_FAILED if strict and ok < pairs else 0
 
 
 def selected_pairs(text: str | None, count: int) -> list[int]:

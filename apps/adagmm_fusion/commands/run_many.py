@@ -13,9 +13,9 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
-from adagmm_fusion.commands.run import run
+from adagmm_fusion.commands.run import run, verdict
 from adagmm_fusion.errors import RecordingError
-from adagmm_fusion.formats import FORMATS
+from adagmm_fusion.formats import matching
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.processes.task_pool import TaskFailure, run_tasks
 from adagmm_fusion.processes.terminal import printable
@@ -49,7 +49,9 @@ def recordings_in(path: str | Path) -> list[Path]:
 
 
 def run_many(recordings: list[Path], args: argparse.Namespace, settings: Settings) -> int:
-    """Run every recording; returns 0 if all could be run, 1 if one could not. Each has the files of a run of its own.
+    """Run every recording; returns 1 if one could not be run, else the `verdict` on the pairs of all.
+
+    Each has the files of a run of its own.
 
     Raises
     ------
@@ -70,8 +72,12 @@ def run_many(recordings: list[Path], args: argparse.Namespace, settings: Setting
         else:
             numbers = (_shown(result.rotation_deg, 2), _shown(result.translation_mm, 0))
             table.add_row(_text(name), str(result.ok), str(result.pairs), *numbers, _text(result.report))
-    Console().print(table)
-    return int(any(isinstance(result, TaskFailure) for result in results.values()))
+    if not args.quiet:
+        Console().print(table)
+    done = [result for result in results.values() if isinstance(result, RecordingResult)]
+    if len(done) < len(results):
+        return 1
+    return verdict(sum(result.ok for result in done), sum(result.pairs for result in done), strict=args.strict)
 
 
 def run_recording(task: RecordingTask) -> RecordingResult:
@@ -96,7 +102,7 @@ def _for_one(args: argparse.Namespace, recording: Path, output: Path) -> argpars
 
 
 def _is_recording(folder: Path) -> bool:
-    return any(module.matches(folder) for module in FORMATS.values())
+    return bool(matching(folder))
 
 
 def _text(words: str) -> Text:

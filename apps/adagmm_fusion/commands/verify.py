@@ -19,7 +19,7 @@ def add(commands: argparse._SubParsersAction) -> None:
     )
     command = commands.add_parser("verify", help="say whether a rig's calibration is still true", description=text)
     command.add_argument("rig", metavar="RIG", help="the rig file; its intrinsics replace the recording's")
-    command.add_argument("recording", metavar="RECORDING", help="the recording; see recordings/README.md")
+    command.add_argument("recording", metavar="RECORDING", help="the recording, a folder or video file")
     command.add_argument("--format", choices=sorted(FORMATS), help="the recording's format (default: looked for)")
     command.add_argument("--frames", type=int, default=10, metavar="N", help="moments at most (default: %(default)s)")
     command.add_argument(

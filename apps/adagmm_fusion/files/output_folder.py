@@ -6,11 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from adagmm_fusion.errors import OutputError
-
-try:
-    import fcntl
-except ImportError:  # Windows: two runs into one folder are not told apart there
-    fcntl = None
+from adagmm_fusion.files.file_lock import lock
 
 
 @contextmanager
@@ -27,7 +23,8 @@ def exclusive(folder: Path, *, follow_links: bool = True) -> Iterator[None]:
         folder.mkdir(parents=True, exist_ok=True)
         if not follow_links and folder.is_symlink():
             raise OutputError(f"{folder}: expected a folder, it is a link; take it away")
-        handle = None if fcntl is None else os.open(folder, os.O_RDONLY | (0 if follow_links else os.O_NOFOLLOW))
+        # Windows opens no folders: two runs into one are not told apart there
+        handle = None if os.name == "nt" else os.open(folder, os.O_RDONLY | (0 if follow_links else os.O_NOFOLLOW))
     except OutputError:
         raise
     except ValueError as problem:  # a NUL byte in its name
@@ -45,9 +42,6 @@ def exclusive(folder: Path, *, follow_links: bool = True) -> Iterator[None]:
 
 def _locked(handle: int) -> bool:
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
+        return lock(handle)
     except OSError:  # some network file systems lock no folders
-        pass
-    return True
+        return True

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from adagmm_o3d.errors import InputError
+from adagmm_o3d.options import DeviceName
 
 # What makes sense with depth cameras and can be computed with; a number beyond is a slip or another unit.
 LIMITS = {
@@ -40,7 +41,7 @@ class Settings:
     partner_distance_m: float | None = None
     start: str = "features"
     max_iteration: int | None = None
-    device: str = "auto"
+    device: DeviceName = "auto"
     max_rotation_error_deg: float = 3.0
     max_translation_error_mm: float = 100.0
     min_overlap: float = 0.3

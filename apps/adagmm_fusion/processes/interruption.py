@@ -1,6 +1,7 @@
 """Being told to stop: SIGTERM and SIGHUP end a command as Ctrl-C does, with what is finished kept and an exit code of
 their own."""
 
+import _thread
 import signal
 import threading
 from collections.abc import Iterator
@@ -75,8 +76,7 @@ def signals_as_interrupts() -> Iterator[None]:
 
     def stop(number: int, frame: FrameType | None) -> None:
         if must_not_stop(frame):
-            # to the main thread itself, which may be asleep
-            again = threading.Timer(AGAIN_S, signal.pthread_kill, (threading.main_thread().ident, number))
+            again = threading.Timer(AGAIN_S, _send_to_main_thread, (number,))
             again.daemon = True
             again.start()
         elif number in STOPS:
@@ -92,6 +92,14 @@ def signals_as_interrupts() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _send_to_main_thread(number: int) -> None:
+    """Send a signal to the main thread itself, which may be asleep; Windows can only have it noticed when it is not."""
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(threading.main_thread().ident, number)
+    else:
+        _thread.interrupt_main(signal.Signals(number))
 
 
 def must_not_stop(frame: FrameType | None) -> bool:

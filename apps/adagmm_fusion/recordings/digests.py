@@ -34,5 +34,5 @@ def pair_digest(pair: RGBDPair) -> str:
     return _digits(digest)
 
 
-def _digits(digest: hashlib._Hash) -> str:
+def _digits(digest: "hashlib._Hash") -> str:
     return digest.hexdigest()[:12]

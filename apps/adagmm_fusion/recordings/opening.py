@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from adagmm_fusion.errors import RecordingError
-from adagmm_fusion.formats import FORMATS
+from adagmm_fusion.formats import FORMATS, MODULES, matching
 from adagmm_fusion.formats.options import ReadOptions
 from adagmm_fusion.recordings.frame_sequence import FrameEntry, FrameSequence, PairEntry, Recording
 from adagmm_fusion.rigs.rig import Rig, load_rig
@@ -46,10 +46,10 @@ def open_recording(
 
 
 def _detect(path: Path) -> str:
-    found = [name for name, module in FORMATS.items() if module.matches(path)]
+    found = matching(path)
     if len(found) == 1:
         return found[0]
     if found:
         raise RecordingError(f"{path}: could be {' or '.join(found)}; say which with format")
-    known = "; ".join(f"{name}: {module.SUMMARY}" for name, module in FORMATS.items())
+    known = "; ".join(f"{name}: {module.SUMMARY}" for name, module in ((name, FORMATS[name]) for name in MODULES))
     raise RecordingError(f"{path}: not a recording of a known format ({known})")

@@ -29,12 +29,6 @@ FLUSH_SECONDS = 120.0
 LEAST_ROOM_BYTES = 1 << 20  # the SDK waits for ever where there is no room for a file's beginning
 
 
-def add_rerun_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add Rerun's own script arguments; `--serve` binds to loopback here, `--port` chooses where."""
-    rr.script_add_args(parser)
-    parser.add_argument("--port", type=int, default=None, help="With --serve: the gRPC port (default: a free one)")
-
-
 def check_destination(args: argparse.Namespace) -> None:
     """Before the work: whether what is logged can go where `args` say, as far as that can be known.
 
@@ -179,10 +173,11 @@ def _wait_for_interrupt(server: subprocess.Popen) -> None:
 
 
 def _stop(server: subprocess.Popen) -> None:
-    """`rerun` is a shim that starts the real program: end the process group, not only the shim."""
+    """`rerun` is a shim that starts the real program: end its process group, where there are such."""
+    groups = hasattr(os, "killpg")
     with contextlib.suppress(ProcessLookupError):
-        os.killpg(server.pid, signal.SIGTERM)
+        os.killpg(server.pid, signal.SIGTERM) if groups else server.terminate()
     with contextlib.suppress(subprocess.TimeoutExpired):
         server.wait(timeout=5.0)
     with contextlib.suppress(ProcessLookupError):
-        os.killpg(server.pid, signal.SIGKILL)
+        os.killpg(server.pid, signal.SIGKILL) if groups else server.kill()

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.files.depth_files import MAX_PIXELS, decoder_of
 from adagmm_fusion.files.input_file import read_input
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame
 from adagmm_o3d.errors import InputError, InputTypeError
@@ -18,7 +19,6 @@ from adagmm_o3d.errors import InputError, InputTypeError
 MISSING = "the image is missing"
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
-MAX_PIXELS = 1 << 26  # a file of a few bytes can claim to be an image of gigabytes
 # JPEG markers: those that no length follows, and those that start a frame and state the image's size.
 JPEG_ALONE = (0x01, *range(0xD0, 0xDA))
 JPEG_FRAMES = (*range(0xC0, 0xC4), *range(0xC5, 0xC8), *range(0xC9, 0xCC), *range(0xCD, 0xD0))
@@ -53,7 +53,10 @@ def read_color(path: Path) -> np.ndarray:
 
 
 def read_depth(path: Path) -> np.ndarray:
-    """(H, W) uint16 from a PNG file with one 16-bit channel."""
+    """(H, W) uint16 from a PNG file with one 16-bit channel; also float32 or float64 from one of `depth_files`."""
+    data = read_input(path, RecordingError, missing=MISSING)
+    if (decode := decoder_of(data)) is not None:
+        return decode(data, path)
     image = _decoded(path, cv2.IMREAD_UNCHANGED)
     if image.ndim != 2 or image.dtype != np.uint16:
         channels = 1 if image.ndim == 2 else image.shape[2]
@@ -63,7 +66,10 @@ def read_depth(path: Path) -> np.ndarray:
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """(width, height) of a PNG file, from its header."""
+    """(width, height) of a PNG file, from its header; of other depth files, from all of it."""
+    if decoder_of(read_input(path, RecordingError, count=8, missing=MISSING)) is not None:
+        height, width = read_depth(path).shape
+        return width, height
     header = read_input(
         path, RecordingError, count=33, missing=MISSING
     )  # the signature and the first chunk, IHDR, with its checksum

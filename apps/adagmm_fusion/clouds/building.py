@@ -4,7 +4,7 @@ covariances."""
 import numpy as np
 import open3d as o3d
 
-from adagmm_fusion.frames.depth_geometry import back_project, depth_edges, depth_in_range, grid_normals
+from adagmm_fusion.frames.depth_geometry import back_project, depth_edges, depth_in_range, depth_noise, grid_normals
 from adagmm_fusion.frames.rgbd import RGBDFrame, RGBDPair
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.uncertainty import (
@@ -17,6 +17,8 @@ SENSOR_MODELS = ("kinect", "nguyen", "surface", "none")
 # The paper registered clouds of 3000 to 4000 points.
 TARGET_POINTS = 3500
 MIN_DEPTH, MAX_DEPTH = 0.1, 6.0
+# No room has as large a share of its pixels at edges.
+MOSTLY_EDGES = 0.5
 
 
 def cloud_from_frame(
@@ -80,7 +82,10 @@ def dense_cloud(
     if not 0 <= min_depth < max_depth:
         raise InputError(f"min_depth, max_depth: expected 0 <= min < max [m], got {min_depth:g} and {max_depth:g}")
     depth = depth_in_range(frame, min_depth, max_depth)
-    depth[depth_edges(depth, frame.intrinsics)] = np.nan
+    edges = depth_edges(depth, frame.intrinsics)
+    if edges.sum() > MOSTLY_EDGES * np.isfinite(depth).sum():  # a noisy sensor: its noise looks like edges
+        edges = depth_edges(depth, frame.intrinsics, depth_noise(depth))
+    depth[edges] = np.nan
     normals = grid_normals(depth, frame.intrinsics)
     kept = np.isfinite(normals[..., 0])
     if not kept.any():

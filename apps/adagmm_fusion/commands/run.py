@@ -12,6 +12,7 @@ import numpy as np
 from rich.console import Console
 
 from adagmm_fusion.commands.progress import progress
+from adagmm_fusion.errors import one_line
 from adagmm_fusion.files.output_folder import exclusive
 from adagmm_fusion.frames.rgbd import RGBDPair
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh, save_textured_mesh
@@ -98,6 +99,7 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
                 pairs_asked=len(indices),
                 records=records,
                 interrupted=stopped is not None,
+                notes=recording.notes,
                 results=results,
             )
             paths = write_report(folder, report)
@@ -217,6 +219,8 @@ def _print(report: Report, folder: Path, paths: tuple[Path, Path], *, to_stderr:
     if not console.is_terminal:
         console = Console(stderr=to_stderr, highlight=False, soft_wrap=True, width=TABLE_WIDTH)
     console.print(terminal_table(report))
+    for note in report.notes:
+        console.print(f"note: {one_line(note)}", style="yellow", markup=False)
     for line in report.failures():
         console.print(f"failed: {line}", style="red", markup=False)
     console.print(f"report: {paths[0]}, {paths[1]}", markup=False)

@@ -13,7 +13,7 @@ class RigError(InputError):
     """A rig file cannot be used, or lacks a sensor that is asked for."""
 
 
-def one_line(problem: Exception) -> str:
+def one_line(problem: Exception | str) -> str:
     """A message as it can be printed: what it quotes from a file, or a file's name, may hold anything."""
     text = " ".join(str(problem).split())
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)

@@ -36,6 +36,7 @@ from adagmm_fusion.rerun_log import (
     open_stream,
     send_blueprint,
 )
+from adagmm_fusion.rigs.extrinsics import extrinsics_notes
 from adagmm_fusion.rigs.rig import save_rig
 from adagmm_o3d.errors import InputError
 
@@ -56,6 +57,7 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
     if logs_to_file and args.save is None:
         args.save = str(folder / f"{recording.path.resolve().name}.rrd")
 
+    notes = (*recording.notes, *extrinsics_notes(recording))
     results: dict[str, str] = {}
     records: list[PairRecord] = []
     rig_estimate, stopped = RigEstimate(), None
@@ -99,7 +101,7 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
                 pairs_asked=len(indices),
                 records=records,
                 interrupted=stopped is not None,
-                notes=recording.notes,
+                notes=notes,
                 results=results,
             )
             paths = write_report(folder, report)

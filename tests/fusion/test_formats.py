@@ -16,6 +16,7 @@ from depth_scene import (
     write_seven_scenes,
     write_tum,
 )
+from folder_layouts import write_folder
 
 from adagmm_fusion.clouds.building import dense_cloud
 from adagmm_fusion.errors import RecordingError, RigError
@@ -33,6 +34,7 @@ FORMATS = {
     "redwood": (write_redwood, SMALL, 1000, ["00000", "00001", "00002"]),
     "7scenes": (write_seven_scenes, VGA, 1000, ["frame-000000", "frame-000001", "frame-000002"]),
     "posefile": (write_pose_file, SMALL, 1000, ["00000", "00007", "00014"]),
+    "folder": (write_folder, SMALL, 1000, ["0000", "0001", "0002"]),
     "apc": (write_apc, SMALL, 10000, ["frame-000000", "frame-000001", "frame-000002"]),
 }
 

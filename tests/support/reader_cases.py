@@ -15,6 +15,7 @@ from depth_scene import (
     write_tum,
     write_xtion,
 )
+from folder_layouts import write_folder
 
 from adagmm_fusion.clouds.building import dense_cloud
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
@@ -66,6 +67,7 @@ WRITERS = {
     "posefile": write_pose_file,
     "apc": write_apc,
     "xtion": write_small_xtion,
+    "folder": write_folder,
 }
 
 

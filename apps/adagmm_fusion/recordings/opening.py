@@ -5,7 +5,7 @@ from itertools import islice
 from pathlib import Path
 
 from adagmm_fusion.errors import RecordingError
-from adagmm_fusion.formats import FORMATS
+from adagmm_fusion.formats import FALLBACK, FORMATS
 from adagmm_fusion.formats.options import ReadOptions
 from adagmm_fusion.recordings.frame_sequence import FrameEntry, FrameSequence, PairEntry, Recording
 from adagmm_fusion.rigs.rig import Rig, load_rig
@@ -48,7 +48,9 @@ def open_recording(
 
 
 def _detect(path: Path) -> str:
-    found = [name for name, module in FORMATS.items() if module.matches(path)]
+    found = [name for name, module in FORMATS.items() if name != FALLBACK and module.matches(path)]
+    if not found and FORMATS[FALLBACK].matches(path):
+        return FALLBACK
     if len(found) == 1:
         return found[0]
     if found:

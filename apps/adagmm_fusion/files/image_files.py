@@ -44,8 +44,13 @@ def inside(root: Path, relative: str, where: str) -> Path:
 
 def read_color(path: Path) -> np.ndarray:
     """(H, W, 3) uint8 RGB from a PNG or JPEG file, as the sensor delivered it (an EXIF orientation is not applied)."""
+    return decoded_color(read_input(path, RecordingError, missing=MISSING), path)
+
+
+def decoded_color(data: bytes, path: Path) -> np.ndarray:
+    """`read_color` of a file's bytes; `path` is what messages name."""
     flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
-    image = _decoded(path, flags)
+    image = _decoded(data, path, flags)
     if image.dtype != np.uint8:
         bits = image.dtype.itemsize * 8
         raise RecordingError(f"{path}: expected colours of 8 bits, got {bits}; is it the depth image?")
@@ -54,10 +59,14 @@ def read_color(path: Path) -> np.ndarray:
 
 def read_depth(path: Path) -> np.ndarray:
     """(H, W) uint16 from a PNG file with one 16-bit channel; also float32 or float64 from one of `depth_files`."""
-    data = read_input(path, RecordingError, missing=MISSING)
+    return decoded_depth(read_input(path, RecordingError, missing=MISSING), path)
+
+
+def decoded_depth(data: bytes, path: Path) -> np.ndarray:
+    """`read_depth` of a file's bytes; `path` is what messages name."""
     if (decode := decoder_of(data)) is not None:
         return decode(data, path)
-    image = _decoded(path, cv2.IMREAD_UNCHANGED)
+    image = _decoded(data, path, cv2.IMREAD_UNCHANGED)
     if image.ndim != 2 or image.dtype != np.uint16:
         channels = 1 if image.ndim == 2 else image.shape[2]
         bits = image.dtype.itemsize * 8
@@ -109,10 +118,9 @@ def checked_frame(path: Path, *values: Any) -> RGBDFrame:
         raise RecordingError(f"{path}: frame {problem}") from problem
 
 
-def _decoded(path: Path, flags: int) -> np.ndarray:
-    data = _complete(path)
+def _decoded(data: bytes, path: Path, flags: int) -> np.ndarray:
     try:
-        image = cv2.imdecode(data, flags)
+        image = cv2.imdecode(_complete(data, path), flags)
     except cv2.error:  # for what it does not take at all
         image = None
     if image is None:
@@ -120,9 +128,8 @@ def _decoded(path: Path, flags: int) -> np.ndarray:
     return image
 
 
-def _complete(path: Path) -> np.ndarray:
-    """The file's bytes. Decoders fill what is cut off with grey, or print about it, so that is looked at here."""
-    data = read_input(path, RecordingError, missing=MISSING)
+def _complete(data: bytes, path: Path) -> np.ndarray:
+    """The bytes. Decoders fill what is cut off with grey, or print about it, so that is looked at here."""
     if data.startswith(PNG_SIGNATURE):
         complete = data[12:16] == b"IHDR" and _png_is_complete(data)
         width, height = struct.unpack(">II", data[16:24]) if complete else (0, 0)

@@ -5,8 +5,10 @@ at names only) and `read(path, options) -> Recording` (strict; images are loaded
 that is all.
 """
 
-from adagmm_fusion.formats import apc, folder, own, pose_file, redwood, seven_scenes, tum, video, xtion
+from adagmm_fusion.formats import apc, folder, own, pose_file, redwood, ros_bag, seven_scenes, tum, video, xtion
 
-FORMATS = {module.NAME: module for module in (own, tum, redwood, seven_scenes, pose_file, apc, xtion, video, folder)}
+FORMATS = {
+    module.NAME: module for module in (own, tum, redwood, seven_scenes, pose_file, apc, xtion, video, ros_bag, folder)
+}
 # What takes any folder is asked only where no other format knows it.
 FALLBACK = folder.NAME

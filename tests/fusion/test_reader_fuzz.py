@@ -447,4 +447,4 @@ def test_an_image_that_says_it_is_huge(read, data):
 
 
 def test_formats_left_out_here_are_not_folders_of_files():
-    assert set(FORMATS) - set(WRITERS) == {"video"}
+    assert set(FORMATS) - set(WRITERS) == {"video", "rosbag"}

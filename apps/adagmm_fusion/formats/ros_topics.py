@@ -7,7 +7,7 @@ from dataclasses import dataclass
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 # Where a camera's own name ends: /camera | /aligned_depth_to_color/image_raw.
 PART_OF_CAMERA = re.compile(
-    r"depth|colou?r|rgb|aligned|image|^(hd|qhd|sd|left|right|stereo|ir|infra\d?)$", re.IGNORECASE
+    r"depth|colou?r|rgb|aligned|image|^(hd|qhd|sd|stereo|ir|infra\d?)$", re.IGNORECASE
 )
 NO_IMAGE = re.compile(r"infra|/ir/|mask|confidence|theora|disparity|/right/|mono", re.IGNORECASE)
 # The better ones first: registered to the colour image, then the sensor's own.

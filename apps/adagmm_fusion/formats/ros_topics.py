@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 # Where a camera's own name ends: /camera | /aligned_depth_to_color/image_raw.
-PART_OF_CAMERA = re.compile(
-    r"depth|colou?r|rgb|aligned|image|^(hd|qhd|sd|stereo|ir|infra\d?)$", re.IGNORECASE
-)
-NO_IMAGE = re.compile(r"infra|/ir/|mask|confidence|theora|disparity|/right/|mono", re.IGNORECASE)
+PART_OF_CAMERA = re.compile(r"depth|colou?r|rgb|aligned|image|^(hd|qhd|sd|stereo|ir|infra\d?)$", re.IGNORECASE)
+NO_IMAGE = re.compile(r"infra|/ir/|mask|confidence|theora|disparity|[^/]/right/|mono", re.IGNORECASE)
 # The better ones first: registered to the colour image, then the sensor's own.
 DEPTHS = ("aligned_depth_to_color", "depth_to_rgb", "depth_registered", "image_depth", "registered", "depth")
 COLORS = ("image_raw", "image_color", "color", "rgb", "image")

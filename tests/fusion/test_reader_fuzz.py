@@ -249,7 +249,8 @@ def test_a_file_that_is_none(format, kind, tmp_path):
             path.mkdir()
         with bounded():
             problems = read_everything(folder, format, rig)
-        if name.endswith((".png", ".mat")) and "/" in name:
+        optional = kind == "gone" and "confidence" in name  # phones do not always record it
+        if name.endswith((".png", ".mat")) and "/" in name and not optional:
             assert problems, name
 
 

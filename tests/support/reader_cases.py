@@ -15,7 +15,7 @@ from depth_scene import (
     write_tum,
     write_xtion,
 )
-from folder_layouts import write_folder
+from folder_layouts import write_folder, write_polycam, write_record3d, write_scanner_app, write_stray
 
 from adagmm_fusion.clouds.building import dense_cloud
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
@@ -59,6 +59,12 @@ def write_small_xtion(folder: Path, poses, intrinsics) -> None:
     write_xtion(folder, poses, intrinsics, intrinsics, T_color_depth, moments=(2,))
 
 
+def of_phone(write):
+    """Colour of four times the size, so that the depth is as large as in the other formats."""
+    fine = PinholeIntrinsics(64, 48, 56.0, 56.0, 31.5, 23.5)
+    return lambda folder, poses, intrinsics: write(folder, poses, fine)
+
+
 WRITERS = {
     "adagmm": write_own,
     "tum": write_tum,
@@ -68,6 +74,10 @@ WRITERS = {
     "apc": write_apc,
     "xtion": write_small_xtion,
     "folder": write_folder,
+    "stray": of_phone(write_stray),
+    "polycam": of_phone(write_polycam),
+    "scanner-app": of_phone(write_scanner_app),
+    "record3d": of_phone(write_record3d),
 }
 
 

@@ -5,10 +5,25 @@ at names only) and `read(path, options) -> Recording` (strict; images are loaded
 that is all.
 """
 
-from adagmm_fusion.formats import apc, folder, own, pose_file, redwood, ros_bag, seven_scenes, tum, video, xtion
+from adagmm_fusion.formats import (
+    apc,
+    folder,
+    own,
+    polycam,
+    pose_file,
+    record3d,
+    redwood,
+    ros_bag,
+    scanner_app,
+    seven_scenes,
+    stray_scanner,
+    tum,
+    video,
+    xtion,
+)
 
-FORMATS = {
-    module.NAME: module for module in (own, tum, redwood, seven_scenes, pose_file, apc, xtion, video, ros_bag, folder)
-}
+_RGBD_SETS = (tum, redwood, seven_scenes, pose_file, apc, xtion)
+_PHONES = (stray_scanner, polycam, scanner_app, record3d)
+FORMATS = {module.NAME: module for module in (own, *_RGBD_SETS, *_PHONES, video, ros_bag, folder)}
 # What takes any folder is asked only where no other format knows it.
 FALLBACK = folder.NAME

@@ -11,12 +11,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import inside
 from adagmm_fusion.formats.image_lists import number_of
-from adagmm_fusion.formats.text_table import parse_numbers, parse_pose, read_rows
+from adagmm_fusion.formats.text_table import parse_numbers, parse_pose, parse_quaternion_pose, read_rows
 from adagmm_fusion.formats.time_units import units_per_second
 
 NAME = re.compile(
@@ -89,12 +88,7 @@ def _read_one(path: Path) -> np.ndarray | None:
 
 def _pose(numbers: Sequence[float], where: str) -> np.ndarray:
     if len(numbers) in (7, 8):
-        quaternion = np.array(numbers[-4:])
-        if abs(np.linalg.norm(quaternion) - 1) > 0.01:
-            raise RecordingError(f"{where}: expected a unit quaternion qx qy qz qw, got {quaternion.tolist()}")
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = Rotation.from_quat(quaternion).as_matrix(), numbers[-7:-4]
-        return parse_pose(T, where)
+        return parse_quaternion_pose(numbers[-7:], where)
     if len(numbers) == 12:
         numbers = [*numbers, 0.0, 0.0, 0.0, 1.0]
     T = np.reshape(numbers, (4, 4))

@@ -16,10 +16,19 @@ from depth_scene import (
     write_seven_scenes,
     write_tum,
 )
-from folder_layouts import write_folder
+from folder_layouts import (
+    write_bop,
+    write_folder,
+    write_icl_nuim,
+    write_nerfstudio,
+    write_replica,
+    write_scannet,
+    write_sens,
+)
 
 from adagmm_fusion.clouds.building import dense_cloud
 from adagmm_fusion.errors import RecordingError, RigError
+from adagmm_fusion.formats.icl_nuim import INTRINSICS as ICL_INTRINSICS
 from adagmm_fusion.formats.tum import INTRINSICS as TUM_INTRINSICS
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.recordings.opening import open_recording
@@ -34,6 +43,12 @@ FORMATS = {
     "redwood": (write_redwood, SMALL, 1000, ["00000", "00001", "00002"]),
     "7scenes": (write_seven_scenes, VGA, 1000, ["frame-000000", "frame-000001", "frame-000002"]),
     "posefile": (write_pose_file, SMALL, 1000, ["00000", "00007", "00014"]),
+    "scannet": (write_scannet, SMALL, 1000, ["0", "1", "2"]),
+    "sens": (write_sens, SMALL, 1000, ["000000", "000001", "000002"]),
+    "icl-nuim": (write_icl_nuim, ICL_INTRINSICS, 5000, ["1", "2", "3"]),
+    "bop": (write_bop, SMALL, 10000, ["000000", "000001", "000002"]),
+    "replica": (write_replica, SMALL, 6553.5, ["000000", "000001", "000002"]),
+    "nerfstudio": (write_nerfstudio, SMALL, 1000, ["frame_00000", "frame_00001", "frame_00002"]),
     "folder": (write_folder, SMALL, 1000, ["0000", "0001", "0002"]),
     "apc": (write_apc, SMALL, 10000, ["frame-000000", "frame-000001", "frame-000002"]),
 }

@@ -2,6 +2,7 @@
 
 import json
 import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -143,3 +144,90 @@ def write_record3d(folder: Path, poses, intrinsics: PinholeIntrinsics):
     metadata |= {"K": intrinsics.matrix().T.ravel().tolist(), "frameTimestamps": [i / 60 for i in range(len(poses))]}
     metadata["poses"] = [[*quaternion_pose(T)[3:], *quaternion_pose(T)[:3]] for T in arkit]
     write_json(folder / "metadata", metadata)
+
+
+# Data sets
+
+
+def write_scannet(folder: Path, poses, intrinsics: PinholeIntrinsics):
+    for i, pose in enumerate(poses):
+        write_color(folder / f"color/{i}.png", intrinsics, pose)
+        write_depth(folder / f"depth/{i}.png", intrinsics, pose, 1000)
+        (folder / "pose").mkdir(exist_ok=True)
+        np.savetxt(folder / f"pose/{i}.txt", pose)
+    (folder / "intrinsic").mkdir()
+    K = np.eye(4)
+    K[:3, :3] = intrinsics.matrix()
+    for name, matrix in (("intrinsic", K), ("extrinsic", np.eye(4))):
+        for kind in ("color", "depth"):
+            np.savetxt(folder / f"intrinsic/{name}_{kind}.txt", matrix)
+
+
+def write_sens(folder: Path, poses, intrinsics: PinholeIntrinsics, depth_intrinsics=None, T_color_depth=None):
+    """A .sens file as ScanNet's SensorData writes it, with PNG for colour."""
+    depth_intrinsics = depth_intrinsics or intrinsics
+    T = np.eye(4) if T_color_depth is None else T_color_depth
+    folder.mkdir(parents=True, exist_ok=True)
+    data = struct.pack("<IQ", 4, 9) + b"Structure"
+    for k, extrinsics in ((intrinsics, np.eye(4)), (depth_intrinsics, T)):
+        K = np.eye(4)
+        K[:3, :3] = k.matrix()
+        data += K.astype("<f4").tobytes() + extrinsics.astype("<f4").tobytes()
+    sizes = (intrinsics.width, intrinsics.height, depth_intrinsics.width, depth_intrinsics.height)
+    data += struct.pack("<2i4IfQ", 1, 1, *sizes, 1000.0, len(poses))
+    for i, pose in enumerate(poses):
+        color = cv2.imencode(".png", render(intrinsics, pose)[0][:, :, ::-1])[1].tobytes()
+        depth = zlib.compress(depth_of(depth_intrinsics, pose @ T, 1000).tobytes())
+        data += np.asarray(pose).astype("<f4").tobytes()
+        data += struct.pack("<4Q", 33333 * i, 33333 * i, len(color), len(depth)) + color + depth
+    (folder / "scene.sens").write_bytes(data)
+
+
+def write_icl_nuim(folder: Path, poses, intrinsics: PinholeIntrinsics):
+    mirror = np.diag([1.0, -1.0, 1.0, 1.0])
+    associations = truth = ""
+    for i, pose in enumerate(poses, 1):
+        write_color(folder / f"rgb/{i}.png", intrinsics, pose)
+        write_depth(folder / f"depth/{i}.png", intrinsics, pose, 5000)
+        associations += f"{i} depth/{i}.png {i} rgb/{i}.png\n"
+        truth += f"{i} " + " ".join(f"{x:.9f}" for x in quaternion_pose(mirror @ pose @ mirror)) + "\n"
+    (folder / "associations.txt").write_text(associations)
+    (folder / "livingRoom2.gt.freiburg").write_text(truth)
+
+
+def write_bop(folder: Path, poses, intrinsics: PinholeIntrinsics):
+    cameras = {}
+    for i, pose in enumerate(poses):
+        write_color(folder / f"rgb/{i:06d}.png", intrinsics, pose)
+        write_depth(folder / f"depth/{i:06d}.png", intrinsics, pose, 10000)
+        T = np.linalg.inv(pose)
+        cameras[str(i)] = {
+            "cam_K": intrinsics.matrix().ravel().tolist(),
+            "depth_scale": 0.1,
+            "cam_R_w2c": T[:3, :3].ravel().tolist(),
+            "cam_t_w2c": (1000 * T[:3, 3]).tolist(),
+        }
+    write_json(folder / "scene_camera.json", cameras)
+
+
+def write_replica(folder: Path, poses, intrinsics: PinholeIntrinsics):
+    for i, pose in enumerate(poses):
+        write_color(folder / f"results/frame{i:06d}.png", intrinsics, pose)
+        write_depth(folder / f"results/depth{i:06d}.png", intrinsics, pose, 6553.5)
+    np.savetxt(folder / "traj.txt", np.reshape(poses, (-1, 16)))
+    values = {"w": intrinsics.width, "h": intrinsics.height, "fx": intrinsics.fx, "fy": intrinsics.fy}
+    values |= {"cx": intrinsics.cx, "cy": intrinsics.cy, "scale": 6553.5}
+    write_json(folder / "cam_params.json", {"camera": values})
+
+
+def write_nerfstudio(folder: Path, poses, intrinsics: PinholeIntrinsics):
+    frames = []
+    for i, pose in enumerate(poses):
+        color, depth = f"images/frame_{i:05d}.png", f"depths/frame_{i:05d}.png"
+        write_color(folder / color, intrinsics, pose)
+        write_depth(folder / depth, intrinsics, pose, 1000)
+        matrix = (np.asarray(pose) @ OPENGL).tolist()
+        frames.append({"file_path": color, "depth_file_path": depth, "transform_matrix": matrix})
+    values = {"camera_model": "OPENCV", "fl_x": intrinsics.fx, "fl_y": intrinsics.fy, "cx": intrinsics.cx}
+    values |= {"cy": intrinsics.cy, "w": intrinsics.width, "h": intrinsics.height, "k1": 0.0, "k2": 0.0}
+    write_json(folder / "transforms.json", values | {"p1": 0.0, "p2": 0.0, "frames": frames})

@@ -72,14 +72,15 @@ def _a_file_a_frame(numbered: dict[float, Path], images: Sequence[Path]) -> Pose
     poses = []
     for image in images:
         path = numbered.get(-1.0 if (number := number_of(image)) is None else number)
-        poses.append(None if path is None else _read_one(path))
+        poses.append(None if path is None else read_pose_file(path))
     return PoseList(poses, next(iter(numbered.values())))
 
 
-def _read_one(path: Path) -> np.ndarray | None:
+def read_pose_file(path: Path) -> np.ndarray | None:
+    """A file of one pose, 3x4 or 4x4, as (4, 4); None where it holds NaN or infinity: tracking was lost."""
     words = [word for _, row in read_rows(path) for word in row if word]
     words = re.sub(r"[\[\],;]", " ", " ".join(words)).split()
-    if any(word.lower().lstrip("+-") in ("nan", "inf") for word in words):  # tracking was lost
+    if any(word.lower().lstrip("+-") in ("nan", "inf") for word in words):
         return None
     if len(words) not in (12, 16):
         raise RecordingError(f"{path}: expected a pose of 12 or 16 numbers, got {len(words)} words")

@@ -26,8 +26,8 @@ def run(args: argparse.Namespace) -> int:
 
     from adagmm_fusion.commands.progress import progress_bar
     from adagmm_fusion.errors import one_line
+    from adagmm_fusion.pairs.plausibility import recording_warnings
     from adagmm_fusion.recordings.summary import summarize_recording, summary_tables
-    from adagmm_fusion.rigs.extrinsics import extrinsics_notes
 
     recording = recording_of(args)
     with progress_bar(recording.name) as report:
@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
         console = Console(highlight=False, soft_wrap=True, width=TABLE_WIDTH)
     for table in summary_tables(summary):
         console.print(table)
-    for note in (*recording.notes, *extrinsics_notes(recording)):
+    for note in (*recording.notes, *recording_warnings(recording)):
         print(f"note: {one_line(note)}")
     for problem in summary.problems:
         print(f"adagmm-fusion: {' '.join(problem.split())}", file=sys.stderr)

@@ -18,6 +18,7 @@ from adagmm_fusion.frames.rgbd import RGBDPair
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh, save_textured_mesh
 from adagmm_fusion.pairs.fusion import RigEstimate, fused_cloud, fused_mesh, save_cloud
 from adagmm_fusion.pairs.pipeline import PairOutcome, compile_kernels, run_pairs
+from adagmm_fusion.pairs.plausibility import recording_warnings
 from adagmm_fusion.pairs.record import PairRecord, pair_record
 from adagmm_fusion.pairs.report import Report, terminal_table, write_report
 from adagmm_fusion.pairs.settings import Settings
@@ -36,7 +37,6 @@ from adagmm_fusion.rerun_log import (
     open_stream,
     send_blueprint,
 )
-from adagmm_fusion.rigs.extrinsics import extrinsics_notes
 from adagmm_fusion.rigs.rig import save_rig
 from adagmm_o3d.errors import InputError
 
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
     if logs_to_file and args.save is None:
         args.save = str(folder / f"{recording.path.resolve().name}.rrd")
 
-    notes = (*recording.notes, *extrinsics_notes(recording))
+    notes = (*recording.notes, *recording_warnings(recording))
     results: dict[str, str] = {}
     records: list[PairRecord] = []
     rig_estimate, stopped = RigEstimate(), None

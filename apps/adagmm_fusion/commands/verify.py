@@ -51,10 +51,10 @@ def run(args: argparse.Namespace) -> int:
 
     from adagmm_fusion.commands.progress import progress_bar
     from adagmm_fusion.errors import one_line
+    from adagmm_fusion.pairs.plausibility import recording_warnings
     from adagmm_fusion.pairs.settings import Settings
     from adagmm_fusion.recordings.opening import open_recording
     from adagmm_fusion.rigs.checking import MIN_FRAMES, check_rig
-    from adagmm_fusion.rigs.extrinsics import extrinsics_notes
     from adagmm_fusion.rigs.rig import load_rig
     from adagmm_o3d.errors import InputError
 
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     for check in checks:
         console.print(_table(check))
         console.print(_sentence(check), markup=False)
-    for note in (*recording.notes, *extrinsics_notes(recording)):
+    for note in (*recording.notes, *recording_warnings(recording)):
         print(f"note: {one_line(note)}")
     verdicts = {check.verdict for check in checks}
     return next(EXIT_CODES[verdict] for verdict in ("moved", "undecided", "unchanged") if verdict in verdicts)

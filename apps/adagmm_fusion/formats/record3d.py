@@ -2,9 +2,10 @@
 
 The file is a ZIP archive; a folder with one such file, or with what it holds, is read as well.
 
-    metadata          JSON: w, h, dw, dh (sizes of colour and depth), K (9 numbers, column by column, of the colour
-                      image), fps, poses: [qx, qy, qz, qw, x, y, z] a frame, camera to world in ARKit's axes, metres;
-                      newer ones: perFrameIntrinsicCoeffs: [fx, fy, cx, cy] a frame, frameTimestamps [s]
+    metadata          JSON: w, h, dw, dh (sizes of colour and depth; of older files 256x192), K (9 numbers, column by
+                      column, of the colour image), fps, poses: [qx, qy, qz, qw, x, y, z] a frame, camera to world in
+                      ARKit's axes, metres; newer ones: perFrameIntrinsicCoeffs: [fx, fy, cx, cy] a frame,
+                      frameTimestamps [s]
     rgbd/0.jpg        colour
     rgbd/0.depth      LZFSE of float32 (dh, dw), metres, NaN or 0 none
     rgbd/0.conf       optional, LZFSE of uint8 (dh, dw): 0, 1 or 2; where it is 0 the depth is left out
@@ -51,7 +52,9 @@ def read(path: Path, options: ReadOptions) -> Recording:
         place = inside(path, place.name, str(path))
     where = f"{place}: metadata"
     metadata = json_object(parse_json(_content(place, "metadata"), Path(where)), where)
-    w, h, dw, dh = (int(json_number(metadata, name, where)) for name in ("w", "h", "dw", "dh"))
+    w, h = (int(json_number(metadata, name, where)) for name in ("w", "h"))
+    lidar = (192, 256) if h > w else (256, 192)  # older files do not say it
+    dw, dh = (int(json_number(metadata, name, where, size)) for name, size in zip(("dw", "dh"), lidar, strict=True))
     if not all(0 < size <= MAX_SIZE for size in (w, h, dw, dh)):
         raise RecordingError(f"{where}: expected sizes w, h, dw, dh in pixels, got {w}, {h}, {dw}, {dh}")
     poses = metadata.get("poses")

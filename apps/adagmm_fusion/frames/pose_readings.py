@@ -16,6 +16,8 @@ SAMPLES = 4000
 AGREEMENT, AGREEMENT_M = 0.03, 0.02
 # Another reading is believed if it explains this many times as much, and this much more of all points.
 CLEARLY, CLEARLY_MORE = 1.5, 0.1
+# With a smaller share of agreeing points a reading may be a coincidence.
+LEAST_SHARE = 0.4
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # x right, y up, z backward
 
@@ -79,7 +81,7 @@ def best_reading(pairs: Iterable[PosedPair]) -> BestReading:
     means = {name: float(np.mean(values)) if values else 0.0 for name, values in shares.items()}
     best = max(means, key=lambda name: means[name])  # the first of equals
     given = means[AS_GIVEN]
-    if means[best] < max(CLEARLY * given, given + CLEARLY_MORE):
+    if means[best] < max(CLEARLY * given, given + CLEARLY_MORE, LEAST_SHARE):
         best = AS_GIVEN
     return BestReading(best, means[best], given)
 

@@ -1,5 +1,7 @@
 """`adagmm-fusion convert-rig`: what ROS and OpenCV wrote about two cameras is the same rig in our file."""
 
+import json
+
 import cv2
 import numpy as np
 import pytest
@@ -184,9 +186,10 @@ def test_a_pose_as_iai_kinect2_writes_it(tmp_path):
     ("K", "match"),
     [
         ("[[525, 0, 322], [0, 527, 238], [0, 0, 1]]", None),
-        ("[[525, 0, 322], [0, 527], [0, 0, 1]]", "OpenCV cannot read it"),
-        ('"525"', "OpenCV cannot read it"),
-        ("[525, 527, 322, 238]", "expected a camera matrix fx 0 cx / 0 fy cy / 0 0 1, got [525.0, 527.0"),
+        ("[525, 527, 322, 238]", None),
+        ("[[525, 0, 322], [0, 527], [0, 0, 1]]", "expected a 3x3 or 4x4 matrix or fx fy cx cy, got 8 numbers"),
+        ('"525"', "OpenCV cannot read it, or a matrix in it has no numbers"),
+        ('["a", 0, 0]', "expected 3 finite numbers"),
     ],
 )
 def test_a_camera_matrix_of_nested_lists(tmp_path, K, match, capsys):
@@ -195,4 +198,28 @@ def test_a_camera_matrix_of_nested_lists(tmp_path, K, match, capsys):
     if match is None:
         assert load_rig(tmp_path / "rig.yaml").sensors["left"].intrinsics.matrix().tolist() == LEFT.matrix().tolist()
     else:
-        assert match in capsys.readouterr().err
+        err = capsys.readouterr().err
+        assert match in err and "e+308" not in err
+
+
+def test_a_camera_matrix_of_nested_lists_in_opencvs_yaml(tmp_path):
+    text = "%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\n"
+    (tmp_path / "k.yaml").write_text(text + "K: [ [525., 0., 322.], [0., 527., 238.], [0., 0., 1.] ]\n")
+    assert convert(tmp_path, f"left={tmp_path / 'k.yaml'}") == 0
+    assert load_rig(tmp_path / "rig.yaml").sensors["left"].intrinsics.matrix().tolist() == LEFT.matrix().tolist()
+
+
+def test_plain_json_as_realsense_and_orbbec_tools_write_it(tmp_path, capsys):
+    values = {"fx": 525.0, "fy": 527.0, "ppx": 322.0, "ppy": 238.0, "model": "Brown Conrady", "coeffs": [0.0] * 5}
+    (tmp_path / "k.json").write_text(json.dumps({"color": values}))
+    assert convert(tmp_path, f"left={tmp_path / 'k.json'}") == 1
+    assert "the image size is not in it" in capsys.readouterr().err
+    assert convert(tmp_path, f"left={tmp_path / 'k.json'}", "--size", "640x480") == 0
+    assert load_rig(tmp_path / "rig.yaml").sensors["left"].intrinsics.matrix().tolist() == LEFT.matrix().tolist()
+    lens = {"k1": 0.08, "k2": -0.15, "p1": 0.001, "p2": -0.0007, "k3": 0.02}
+    (tmp_path / "k.json").write_text(json.dumps({"rgbIntrinsic": values | lens | {"width": 640, "height": 480}}))
+    assert convert(tmp_path, f"left={tmp_path / 'k.json'}") == 0
+    assert load_rig(tmp_path / "rig.yaml").sensors["left"].intrinsics == LEFT
+    (tmp_path / "k.json").write_text(json.dumps(values | {"width": 640, "height": 480, "coeffs": [0.1, 0, 0, 0, 0]}))
+    assert convert(tmp_path, f"left={tmp_path / 'k.json'}") == 1
+    assert "coeffs: this lens distortion is not understood" in capsys.readouterr().err

@@ -41,7 +41,7 @@ DISTORTION_NAMES = (
 SIZE_NAMES = ("imagesize", "imagewidth", "imageheight")
 ROTATION_NAMES, TRANSLATION_NAMES = ("r", "rotation"), ("t", "translation")
 # What such a name may also be called; one that is not read must not be passed over.
-SPEAKS_OF_DISTORTION = re.compile(r"dist|(^|[^a-z])(k[1-6c]|[kp]_?[1-6]|d[0-9]*)$", re.IGNORECASE)
+SPEAKS_OF_DISTORTION = re.compile(r"dist(?!ance)|coeff|(^|[^a-z])(k[1-6c]|[kp]_?[1-6]|d[0-9]*)$", re.IGNORECASE)
 OPENCV_MARKS = (b"%YAML:1.0", b"opencv_storage", b"opencv-matrix")
 
 
@@ -99,7 +99,7 @@ def _nodes(path: Path, names: tuple[str, ...]) -> OpenCVNodes:
     read_input(path, RigError, count=1)  # it is there, and a file
     nodes = read_nodes(path, names)
     if nodes is None:
-        raise RigError(f"{path}: OpenCV cannot read it; it is damaged or something else")
+        raise RigError(f"{path}: OpenCV cannot read it, or a matrix in it has no numbers; it is damaged or something else")
     return nodes
 
 

@@ -17,7 +17,7 @@ class RigError(InputError):
     """A rig file cannot be used, or lacks a sensor that is asked for."""
 
 
-def one_line(problem: Exception) -> str:
+def one_line(problem: Exception | str) -> str:
     """A message as it can be printed: what it quotes from a file, or a file's name, may hold anything, and a lot."""
     text = printable(" ".join(str(problem).split()))
     return text if len(text) <= MAX_LENGTH else f"{text[: MAX_LENGTH // 2]} … {text[-MAX_LENGTH // 2 :]}"

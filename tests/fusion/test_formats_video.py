@@ -293,7 +293,7 @@ def test_a_bag_of_something_else(tmp_path):
         connection = writer.add_connection("/chatter", "std_msgs/msg/String", typestore=types)
         text = types.types["std_msgs/msg/String"]("hello")
         writer.write(connection, 1, bytes(types.serialize_ros1(text, "std_msgs/msg/String")))
-    with pytest.raises(RecordingError, match=r"a\.bag: expected a RealSense recording with Depth_0 images"):
+    with pytest.raises(RecordingError, match=r"a\.bag: expected topics of a camera's colour and depth"):
         open_recording(path)
 
 

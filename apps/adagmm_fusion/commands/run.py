@@ -12,12 +12,14 @@ import numpy as np
 from rich.console import Console
 
 from adagmm_fusion.commands.progress import progress
+from adagmm_fusion.errors import one_line
 from adagmm_fusion.files.atomic_file import check_output_file
 from adagmm_fusion.files.output_folder import exclusive
 from adagmm_fusion.frames.rgbd import RGBDPair
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh, save_textured_mesh
 from adagmm_fusion.pairs.fusion import RigEstimate, fused_cloud, fused_mesh, save_cloud
 from adagmm_fusion.pairs.pipeline import PairOutcome, compile_kernels, run_pairs
+from adagmm_fusion.pairs.plausibility import recording_warnings
 from adagmm_fusion.pairs.record import PairRecord, pair_record
 from adagmm_fusion.pairs.report import Report, terminal_table, write_report
 from adagmm_fusion.pairs.settings import Settings
@@ -63,6 +65,7 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
         args.save = str(folder / f"{recording.path.resolve().name}.rrd")
     check_destination(args)
 
+    notes = (*recording.notes, *recording_warnings(recording))
     results: dict[str, str] = {}
     records: list[PairRecord] = []
     rig_estimate, stopped = RigEstimate(), None
@@ -108,6 +111,7 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
                 pairs_asked=len(indices),
                 records=records,
                 interrupted=stopped is not None,
+                notes=notes,
                 results=results,
             )
             paths = write_report(folder, report)
@@ -239,6 +243,8 @@ def _print(report: Report, folder: Path, paths: tuple[Path, Path], *, to_stderr:
     if not console.is_terminal:
         console = Console(stderr=to_stderr, highlight=False, soft_wrap=True, width=TABLE_WIDTH)
     console.print(terminal_table(report))
+    for note in report.notes:
+        console.print(f"note: {one_line(note)}", style="yellow", markup=False)
     for line in report.failures():
         console.print(printable(f"failed: {line}"), style="red", markup=False)
     console.print(printable(f"report: {paths[0]}, {paths[1]}"), markup=False)

@@ -52,6 +52,8 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
 
     from adagmm_fusion.commands.progress import progress_bar
+    from adagmm_fusion.errors import one_line
+    from adagmm_fusion.pairs.plausibility import recording_warnings
     from adagmm_fusion.pairs.settings import Settings
     from adagmm_fusion.recordings.opening import open_recording
     from adagmm_fusion.rigs.checking import MIN_FRAMES, check_rig
@@ -81,6 +83,8 @@ def run(args: argparse.Namespace) -> int:
     for check in checks:
         console.print(_table(check))
         console.print(printable(_sentence(check)), markup=False)
+    for note in (*recording.notes, *recording_warnings(recording)):
+        print(f"note: {one_line(note)}")
     verdicts = {check.verdict for check in checks}
     return next(EXIT_CODES[verdict] for verdict in ("moved", "undecided", "unchanged") if verdict in verdicts)
 

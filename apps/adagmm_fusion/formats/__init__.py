@@ -27,8 +27,22 @@ MODULES = {
     "posefile": "pose_file",
     "apc": "apc",
     "xtion": "xtion",
+    "scannet": "scannet",
+    "sens": "scannet_sens",
+    "icl-nuim": "icl_nuim",
+    "bop": "bop",
+    "replica": "replica",
+    "nerfstudio": "nerfstudio",
+    "stray": "stray_scanner",
+    "polycam": "polycam",
+    "scanner-app": "scanner_app",
+    "record3d": "record3d",
     "video": "video",
+    "rosbag": "ros_bag",
+    "folder": "folder",
 }
+# What takes any folder is asked only where no other format knows it.
+FALLBACK = "folder"
 
 
 class Formats(Mapping[str, ModuleType]):
@@ -54,14 +68,17 @@ FORMATS = Formats()
 
 
 def matching(path: Path) -> list[str]:
-    """The formats that take a path for theirs; one of another package's that fails is passed over and said."""
-    names = [name for name in MODULES if FORMATS[name].matches(path)]
+    """The formats that take a path for theirs, FALLBACK where no other does; one of another package's that fails is
+    passed over and said."""
+    names = [name for name in MODULES if name != FALLBACK and FORMATS[name].matches(path)]
     for name in list(FORMATS)[len(MODULES) :]:
         try:
             if FORMATS[name].matches(path):
                 names.append(name)
         except Exception as error:
             _say_once(name, " ".join(str(error).split()))
+    if not names and FORMATS[FALLBACK].matches(path):
+        names.append(FALLBACK)
     return names
 
 

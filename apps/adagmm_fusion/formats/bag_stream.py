@@ -35,6 +35,16 @@ COLOR_CHANNELS = {"rgb8": [0, 1, 2], "bgr8": [2, 1, 0], "rgba8": [0, 1, 2], "bgr
 OPENCV_MODEL = "brown conrady"
 
 
+def is_realsense(path: Path) -> bool:
+    """Whether a .bag has RealSense's own topics; true also of what is no bag, which BagStream then says."""
+    check_input(path, RecordingError)
+    try:
+        with Reader(path) as reader:
+            return any(connection.topic.startswith("/device_0/") for connection in reader.connections)
+    except Exception:  # rosbags raises whatever the damage leads to
+        return True
+
+
 @dataclass(frozen=True, eq=False)
 class _Shots:
     """The images of a topic in the order of their recording.    times : (n,) int64 [ns].    places : (n,) in it.

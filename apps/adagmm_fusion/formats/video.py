@@ -15,7 +15,8 @@ import numpy as np
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import checked_frame, inside
-from adagmm_fusion.formats.bag_stream import BagStream
+from adagmm_fusion.formats import ros_bag
+from adagmm_fusion.formats.bag_stream import BagStream, is_realsense
 from adagmm_fusion.formats.mkv_stream import MKVStream
 from adagmm_fusion.formats.options import ReadOptions
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame
@@ -34,6 +35,8 @@ def read(path: Path, options: ReadOptions) -> Recording:
     files = _files(path)
     if not files:
         raise RecordingError(f"{path}: expected an .mkv or .bag file, or a folder with some")
+    if len(files) == 1 and files[0].suffix.lower() == ".bag" and not is_realsense(files[0]):
+        return ros_bag.read(files[0], options)
     streams = [_open(str(file)) for file in files]
     fps = streams[0].fps
     for file, stream in zip(files, streams, strict=True):

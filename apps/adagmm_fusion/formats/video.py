@@ -53,7 +53,8 @@ def read(path: Path, options: ReadOptions) -> Recording:
     else:
         first = range(0, len(entries), len(files) * options.step)
         pairs = tuple(PairEntry(i + other, i) for i in first for other in range(1, len(files)))
-    return Recording(path.stem, path, NAME, tuple(entries), pairs)
+    notes = tuple(f"{file.name}: {note}" for file, s in zip(files, streams, strict=True) for note in s.notes)
+    return Recording(path.stem, path, NAME, tuple(entries), pairs, notes=notes)
 
 
 def _files(path: Path) -> list[Path]:

@@ -99,7 +99,9 @@ def _nodes(path: Path, names: tuple[str, ...]) -> OpenCVNodes:
     read_input(path, RigError, count=1)  # it is there, and a file
     nodes = read_nodes(path, names)
     if nodes is None:
-        raise RigError(f"{path}: OpenCV cannot read it, or a matrix in it has no numbers; it is damaged or something else")
+        raise RigError(
+            f"{path}: OpenCV cannot read it, or a matrix in it has no numbers; it is damaged or something else"
+        )
     return nodes
 
 

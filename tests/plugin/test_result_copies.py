@@ -37,6 +37,7 @@ def as_arrays(result):
         "overlap": details.overlap,
         "row_weights": details.row_weights,
         "pose_covariance": details.pose_covariance,
+        "evidence": details.evidence,
         "transformations": details.transformations,
         "warnings": details.warnings,
     }

@@ -63,6 +63,7 @@ class BagStream:
 
     intrinsics : of the colour image.    depth_scale : units per metre.    fps : of the depth.
     times : (n,) of the depth images [s], from the first one; where the clock was set, they leap or run backwards.
+    notes : what of its calibration is not used.
 
     Raises
     ------
@@ -71,6 +72,7 @@ class BagStream:
 
     def __init__(self, path: str) -> None:
         self.path = path
+        self.notes: list[str] = []
         self._types = get_typestore(Stores.ROS1_NOETIC)
         self._types.register(get_types_from_msg(STREAM_INFO, "realsense_msgs/msg/StreamInfo"))
         check_input(Path(path), RecordingError)
@@ -165,6 +167,8 @@ class BagStream:
         info = self._first(f"{stream}/info/camera_info")
         opencvs = info.distortion_model.lower().replace("_", " ") == OPENCV_MODEL
         distortion = tuple(map(float, info.D)) if opencvs and np.any(info.D) else ()
+        if np.any(info.D) and not opencvs:
+            self.notes.append(f"{stream}: the lens distortion of the model {info.distortion_model[:40]} is not used")
         try:
             return PinholeIntrinsics(info.width, info.height, info.K[0], info.K[4], info.K[2], info.K[5], distortion)
         except InputError as problem:

@@ -27,6 +27,7 @@ class MKVStream:
     """
 
     fps, depth_scale, intrinsics = 30.0, 1000.0, None
+    notes = ()
 
     def __init__(self, path: str) -> None:
         self.path = path

@@ -61,7 +61,8 @@ def read(path: Path, options: ReadOptions) -> Recording:
             pairs += [PairEntry(other, first) for other in range(first + 1, len(entries))]
     if len(files) == 1:
         pairs = list(sequential_pairs(len(entries), options.step))
-    return Recording(path.stem, path, NAME, tuple(entries), tuple(pairs))
+    notes = tuple(f"{file.name}: {note}" for file, s in zip(files, streams, strict=True) for note in s.notes)
+    return Recording(path.stem, path, NAME, tuple(entries), tuple(pairs), notes=notes)
 
 
 def _moments(times: list[np.ndarray], fps: float) -> Iterator[list[int | None]]:

@@ -22,7 +22,7 @@ def read_archive(path: Path, wanted: str, names: tuple[str, ...] | None = None) 
     ------
     InputError  if the file cannot be read, is no such archive, or lacks a name.
     """
-    content = read_input(path, InputError)
+    content = read_input(path, InputError, missing=f"expected {wanted}, there is no such file")
     try:
         with np.load(BytesIO(content), allow_pickle=False) as archive:
             return {name: archive[name] for name in (archive.files if names is None else names)}

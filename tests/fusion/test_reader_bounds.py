@@ -170,12 +170,12 @@ def test_one_message_of_a_bag_is_read_alone():
 # Marks before a text
 
 
-@pytest.mark.parametrize("format", WRITERS)
+@pytest.mark.parametrize("format", [format for format in WRITERS if format != "sens"])  # there is no text in it
 def test_a_byte_order_mark_changes_nothing(format, tmp_path):
     """What Notepad puts before every text that it saves."""
     files = files_of(format)
     marked = {
-        name: codecs.BOM_UTF8 + data if name.endswith((".txt", ".log", ".yaml", ".json")) else data
+        name: codecs.BOM_UTF8 + data if name.endswith((".txt", ".csv", ".log", ".yaml", ".json", "metadata")) else data
         for name, data in files.items()
     }
     if format == "redwood":

@@ -61,8 +61,8 @@ class Schedule:
     grid_merged: Level = Level((150, 150), True, 2e-3, 0.05, 5e-4, 0.65, 6, 0.0, 0.015, 8, 0.1)
     grid_ranking: Level = Level((500, 500), False, 1e-3, 0.05, 1e-3, 0.65, 6, 0.0, 4e-3, 3, 0.05)
     grid_deciding: Level = Level((1000, 1000), False, SIGMA_FLOOR, 0.15, 4e-4, 0.5, 6, 1.0, None, 4, 0.0)
-    proposed: Level = Level((1000, 1000), False, 1e-4, 0.05, 1e-4, 0.8, 15, 0.0, 6e-4, 8, 0.05)
-    near: Level = Level((1000, 1000), False, 1e-4, 0.05, 1e-4, 0.8, 30, 0.0, None, 3, 0.0)
+    proposed: Level = Level((1000, 1000), False, 1e-4, 0.05, 1e-4, 0.8, 15, 0.0, 6e-4, 6, 0.08)
+    near: Level = Level((500, 500), False, 1e-4, 0.05, 1e-4, 0.8, 30, 0.0, None, 3, 0.0)
     in_place: Level = Level((400, 400), False, 1e-3, 0.05, 1e-3, 0.65, 6, 0.0, 8e-3, 6, 0.1)
     small: int = 1100
     small_deciding: int = 500

@@ -1,0 +1,191 @@
+"""Any start and any overlap, and knowing when it is wrong: parts of shapes, unrelated shapes, viewpoints."""
+
+import numpy as np
+import open3d as o3d
+import pytest
+from shapes import body_with_head, move
+
+from adagmm_o3d import InputError, InputTypeError, estimate_surface_covariances, register_points
+from adagmm_o3d.evaluation import pose_errors
+from adagmm_o3d.lie import se_exp
+from adagmm_o3d.mixtures.mixture import make_mixture
+from adagmm_o3d.mixtures.normalisation import normalise
+from adagmm_o3d.search.features import feature_poses
+from adagmm_o3d.search.levels import Levels
+from adagmm_o3d.search.schedule import SCHEDULE
+from adagmm_o3d.trust.free_space import RangeImage
+from adagmm_o3d.trust.judge import JUDGED, Judge
+
+
+class Parts:
+    """Two parts of a body, each with so much of its points in common with the other, and the pose between them."""
+
+    def __init__(self, seed, share, turn, n=2400):
+        rng = np.random.default_rng([seed, int(100 * share)])
+        points = body_with_head(rng, n, 3)
+        along = points @ rng.normal(size=3)
+        kept = 1.0 / (2.0 - share)
+        source = points[along <= np.quantile(along, kept)][::2]
+        target = points[along >= np.quantile(along, 1.0 - kept)][1::2]
+        axis = rng.normal(size=3)
+        self.T = se_exp(np.concatenate([turn * axis / np.linalg.norm(axis), 0.1 * rng.normal(size=3)]))
+        self.source = source + 0.004 * rng.normal(size=source.shape)
+        self.target = move(target + 0.004 * rng.normal(size=target.shape), self.T)
+
+    def register(self, **options):
+        surfaces = (estimate_surface_covariances(cloud) for cloud in (self.source, self.target))
+        return register_points(self.source, self.target, *surfaces, **options)
+
+    def mixtures(self):
+        clouds = (("source", self.source), ("target", self.target))
+        return normalise(*(make_mixture(name, p, estimate_surface_covariances(p)) for name, p in clouds))
+
+
+@pytest.mark.parametrize("share", [0.6, 0.5])
+@pytest.mark.parametrize("init", [None, "global"])
+def test_parts_turned_any_way_are_found(share, init):
+    for seed in range(3):
+        parts = Parts(seed, share, turn=2.5)
+        result = parts.register(init=init)
+        errors = pose_errors(parts.T, result.transformation)
+        assert errors.rotation_deg < 2.0 and errors.translation < 0.04, (seed, errors)
+        assert result.overlap == pytest.approx(share, abs=0.1)
+
+
+@pytest.mark.parametrize("share", [0.6, 0.4, 0.3])
+def test_parts_that_are_nearly_aligned_stay_so(share):
+    for seed in range(3):
+        parts = Parts(seed, share, turn=0.2)
+        errors = pose_errors(parts.T, parts.register().transformation)
+        assert errors.rotation_deg < 3.0 and errors.translation < 0.06, (seed, errors)
+
+
+def test_the_identity_given_or_left_out_is_the_same():
+    parts = Parts(0, 0.5, turn=0.2)
+    np.testing.assert_array_equal(parts.register(init=np.eye(4)).transformation, parts.register().transformation)
+
+
+def test_a_right_start_is_kept_and_a_wrong_one_left():
+    parts = Parts(1, 0.5, turn=2.5)
+    for start in (parts.T, se_exp(np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0])) @ parts.T):
+        errors = pose_errors(parts.T, parts.register(init=start).transformation)
+        assert errors.rotation_deg < 2.0 and errors.translation < 0.04, errors
+
+
+@pytest.mark.parametrize("turn", [0.3, 2.5])
+def test_whichever_cloud_comes_first(turn):
+    parts = Parts(2, 0.6, turn)
+    there = parts.register().transformation
+    parts.source, parts.target = parts.target, parts.source
+    # The refinement weighs the source's points by the target's and not the other way round.
+    np.testing.assert_allclose(np.linalg.inv(parts.register().transformation), there, rtol=0, atol=0.01)
+
+
+def test_features_propose_the_pose():
+    parts = Parts(3, 0.5, turn=2.5)
+    source, target, normalisation = parts.mixtures()
+    poses = feature_poses(source, target)
+    errors = [pose_errors(parts.T, normalisation.pose_out(pose)).rotation_deg for pose in poses]
+    assert min(errors[:5]) < 10.0
+    np.testing.assert_allclose(np.linalg.det(np.array(poses)[:, :3, :3]), 1.0, rtol=0, atol=1e-9)
+
+
+def test_of_a_handful_of_points_nothing_is_recognised():
+    rng = np.random.default_rng(0)
+    clouds = [make_mixture(name, rng.normal(size=(30, 3)), None) for name in ("source", "target")]
+    assert feature_poses(*normalise(*clouds)[:2]) == []
+
+
+def test_the_judge_prefers_the_truth_to_a_pose_where_all_overlaps_loosely():
+    parts = Parts(4, 0.5, turn=0.4)
+    source, target, normalisation = parts.mixtures()
+    judge = Judge(source, target, Levels(source, target, SCHEDULE).sampled(JUDGED))
+    true, centred = judge.evidence([normalisation.pose_in(parts.T), np.eye(4)])
+    assert judge.sharp and true > 0.0 > centred
+
+
+def test_shapes_that_share_nothing_are_not_trusted():
+    """Different bodies, and the two halves of one."""
+    rng = np.random.default_rng(0)
+    sphere = rng.normal(size=(900, 3))
+    cube = rng.uniform(-1.0, 1.0, (900, 3))
+    cube[np.arange(900), rng.integers(0, 3, 900)] = rng.choice([-1.0, 1.0], 900)
+    body = body_with_head(rng, 1800, 3)
+    low = body[:, 0] < np.median(body[:, 0])
+    sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
+    for source, target in ((cube, body[::2]), (sphere, body[::2]), (body[low], body[~low])):
+        covariances = (estimate_surface_covariances(cloud) for cloud in (source, target))
+        assert register_points(source, target, *covariances).warnings
+
+
+def test_a_whole_shape_seen_twice_is_trusted():
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        T = se_exp(np.concatenate([rng.normal(size=3), rng.normal(size=3)]))
+        source, target = body_with_head(rng, 900, 3), move(body_with_head(rng, 900, 3), T)
+        covariances = (estimate_surface_covariances(cloud) for cloud in (source, target))
+        result = register_points(source, target, *covariances)
+        assert pose_errors(T, result.transformation).rotation_deg < 2.0
+        assert result.trustworthy and result.evidence > 0.9 and result.overlap > 0.85, result.warnings
+
+
+def wall(rng, n=3000, distance=2.0):
+    """A wall before a sensor at the origin that looks along z."""
+    points = rng.uniform(-1.0, 1.0, (n, 3))
+    points[:, 2] = distance
+    return points
+
+
+def test_points_in_front_of_what_was_seen_violate_free_space():
+    rng = np.random.default_rng(1)
+    image = RangeImage(wall(rng), np.zeros(3))
+    inside = rng.uniform(-0.3, 0.3, (500, 3))
+    for z, violated in ((1.0, 1.0), (1.98, 0.0), (2.5, 0.0)):
+        assert image.violations(np.column_stack([inside[:, :2], np.full(500, z)])) == violated
+    # Nobody has looked there.
+    assert (
+        image.violations(inside + np.array([0.0, 5.0, 1.0])) == image.violations(inside - np.array([0, 0, 1.0])) == 0.0
+    )
+
+
+def test_a_pose_in_front_of_what_was_seen_loses_evidence():
+    """The same cloud half a radius nearer to the sensor fits in part, but lies where the sensor has seen through."""
+    rng = np.random.default_rng(2)
+    points = np.concatenate([wall(rng), wall(rng, 400, 1.0) * [0.2, 0.2, 1.0]])
+    source, target, normalisation = normalise(
+        make_mixture("source", target, None), make_mixture("target", target, None)
+    )
+    sides = Levels(source, target, SCHEDULE).sampled(JUDGED)
+    seen_from = normalisation.points_in(np.zeros(3), np.zeros(3))
+    forward = np.eye(4)
+    forward[2, 3] = -0.5
+    blind, seeing = (Judge(source, target, sides, views) for views in ((None, None), seen_from))
+    assert seeing.evidence([np.eye(4)])[0] == pytest.approx(blind.evidence([np.eye(4)])[0], abs=0.05)
+    assert seeing.evidence([forward])[0] < blind.evidence([forward])[0] - 1.0
+
+
+@pytest.mark.parametrize("name", ["source_viewpoint", "target_viewpoint"])
+@pytest.mark.parametrize(
+    ("value", "error", "message"),
+    [
+        (np.zeros(2), InputError, "expected shape"),
+        ([0.0, np.nan, 0.0], InputError, "finite numbers"),
+        ("here", InputTypeError, "real numbers"),
+    ],
+)
+def test_a_viewpoint_is_checked(name, value, error, message):
+    points = body_with_head(np.random.default_rng(0), 60, 3)
+    with pytest.raises(error, match=rf"^{name}: .*{message}"):
+        register_points(points, points, **{name: value})
+
+
+def test_legacy_and_tensor_clouds_take_viewpoints():
+    from adagmm_o3d import registration_adaptive_gmm
+
+    parts = Parts(5, 0.5, turn=2.0)
+    seen = {"source_viewpoint": np.array([0.0, 0.0, 3.0]), "target_viewpoint": np.array([0.0, 0.0, 3.0])}
+    arrays = parts.register(**seen).transformation
+    legacy = [o3d.geometry.PointCloud(o3d.utility.Vector3dVector(p)) for p in (parts.source, parts.target)]
+    tensors = [o3d.t.geometry.PointCloud(o3d.core.Tensor(p)) for p in (parts.source, parts.target)]
+    np.testing.assert_array_equal(registration_adaptive_gmm(*legacy, 0.05, **seen).transformation, arrays)
+    np.testing.assert_array_equal(registration_adaptive_gmm(*tensors, 0.05, **seen).transformation.numpy(), arrays)

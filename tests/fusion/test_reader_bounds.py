@@ -1,6 +1,7 @@
 """Small files that would make much work, and marks that editors leave: work grows with the file, totals are bounded."""
 
 import codecs
+import os
 import zlib
 from types import SimpleNamespace
 
@@ -192,3 +193,12 @@ def test_a_byte_order_mark_changes_nothing(format, tmp_path):
     for a, b in zip(recordings[0].entries, recordings[1].entries, strict=True):
         assert (a.T_world_camera is None) == (b.T_world_camera is None)
         assert a.T_world_camera is None or np.array_equal(a.T_world_camera, b.T_world_camera)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes of POSIX")
+@pytest.mark.parametrize(("name", "format"), [("a.sens", "sens"), ("a.r3d", "record3d"), ("a.mcap", "rosbag")])
+def test_a_pipe_that_is_called_a_recording(tmp_path, name, format):
+    """Opened it would be waited for for ever."""
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(RecordingError, match=f"{name}: cannot be read: it is a pipe or a device, not a file"):
+        open_recording(tmp_path / name, format=format)

@@ -152,9 +152,7 @@ def test_a_pose_in_front_of_what_was_seen_loses_evidence():
     """The same cloud half a radius nearer to the sensor fits in part, but lies where the sensor has seen through."""
     rng = np.random.default_rng(2)
     points = np.concatenate([wall(rng), wall(rng, 400, 1.0) * [0.2, 0.2, 1.0]])
-    source, target, normalisation = normalise(
-        make_mixture("source", target, None), make_mixture("target", target, None)
-    )
+    source, target, normalisation = normalise(*(make_mixture(name, points, None) for name in ("source", "target")))
     sides = Levels(source, target, SCHEDULE).sampled(JUDGED)
     seen_from = normalisation.points_in(np.zeros(3), np.zeros(3))
     forward = np.eye(4)

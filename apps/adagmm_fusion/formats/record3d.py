@@ -47,7 +47,7 @@ def matches(path: Path) -> bool:
 
 
 def read(path: Path, options: ReadOptions) -> Recording:
-    place = path if path.is_file() else next(iter(sorted(path.glob("*.r3d"))), path)
+    place = path if not path.is_dir() else next(iter(sorted(path.glob("*.r3d"))), path)
     if place != path:
         place = inside(path, place.name, str(path))
     where = f"{place}: metadata"

@@ -42,7 +42,7 @@ def matches(path: Path) -> bool:
 
 
 def read(path: Path, options: ReadOptions) -> Recording:
-    file = path if path.is_file() else next(iter(sorted(path.glob("*.sens"))), None)
+    file = path if not path.is_dir() else next(iter(sorted(path.glob("*.sens"))), None)
     if file is None:
         raise RecordingError(f"{path}: expected a .sens file, there is none")
     if file != path:

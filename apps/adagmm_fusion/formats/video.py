@@ -12,7 +12,9 @@ from pathlib import Path
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import checked_frame, inside
+from adagmm_fusion.files.matroska_file import is_matroska
 from adagmm_fusion.formats import ros_bag
+from adagmm_fusion.formats.azure_kinect import AzureKinectStream
 from adagmm_fusion.formats.bag_stream import BagStream, is_realsense
 from adagmm_fusion.formats.mkv_stream import MKVStream
 from adagmm_fusion.formats.options import ReadOptions
@@ -70,6 +72,9 @@ def _load(file: Path, name: str, seconds: float, intrinsics: PinholeIntrinsics, 
 
 
 @lru_cache(maxsize=4)
-def _open(path: str) -> BagStream | MKVStream:
+def _open(path: str) -> BagStream | AzureKinectStream | MKVStream:
     """An open file. It cannot go to another process, so each process opens its own."""
-    return MKVStream(path) if path.lower().endswith(".mkv") else BagStream(path)
+    if not path.lower().endswith(".mkv"):
+        return BagStream(path)
+    # What is no Matroska file is left to Open3D, which says so.
+    return AzureKinectStream(path) if is_matroska(Path(path)) else MKVStream(path)

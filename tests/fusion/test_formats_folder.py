@@ -5,10 +5,11 @@ import json
 import cv2
 import numpy as np
 import pytest
-from depth_scene import camera_pose, render
+from depth_scene import camera_pose, render, write_tum
 from folder_layouts import OPENGL, depth_of, write_color, write_depth, write_json
 
 from adagmm_fusion.clouds.building import dense_cloud
+from adagmm_fusion.commands.run_many import recordings_in
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.atomic_file import write_text
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
@@ -45,7 +46,7 @@ NAMES = [
     ("color/{i:06d}.png", "depth/{i:06d}.png"),
     ("rgb/rgb_{i}.png", "depth/depth_{i:05d}.png"),
     ("images/{t:.6f}.png", "depth_aligned/{t:.6f}.png"),
-    ("cam/rgb/{i}.png", "cam/depth_raw/{i}.png"),
+    ("rgb_raw/{i}.png", "depth_raw/{i}.png"),
     ("frame-{i:06d}.color.png", "frame-{i:06d}.depth.png"),
     ("{i:03d}_color.png", "{i:03d}_depth.png"),
     ("scan_{i}.png", "scan_{i}_depth.png"),
@@ -287,3 +288,15 @@ def test_colour_and_depth_of_different_shapes_need_both_calibrations(tmp_path):
         assert cv2.imwrite(str(path), depth_of(SMALL, POSES[0], 1000)[:100])
     with pytest.raises(RecordingError, match="no scaled view of one camera; give both cameras' calibrations"):
         open_recording(tmp_path).entries[0].load()
+
+
+def test_a_folder_of_recordings_is_none_itself(tmp_path):
+    layout(tmp_path / "first")
+    layout(tmp_path / "second", "frame-{i:06d}.color.png", "frame-{i:06d}.depth.png")
+    write_tum(tmp_path / "third", POSES[:2], SMALL)
+    refused(tmp_path, "it holds 3 folders, but no folder of colour and one of depth images")
+    assert recordings_in(tmp_path) == [tmp_path / name for name in ("first", "second", "third")]
+    assert recordings_in(tmp_path / "first") == []
+    (tmp_path / "alone").mkdir()
+    (tmp_path / "third").rename(tmp_path / "alone" / "third")
+    assert recordings_in(tmp_path / "alone") == [tmp_path / "alone" / "third"]

@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 from adagmm_fusion.cli import main
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.rigs.rig import load_rig
+from adagmm_fusion.rigs.rig_files import read_rig_file
+from adagmm_o3d.errors import AdaGMMError
 from adagmm_o3d.lie import se_inverse
 
 LEFT = PinholeIntrinsics(640, 480, 525.0, 527.0, 322.0, 238.0, (0.08, -0.15, 0.001, -0.0007))
@@ -165,3 +167,22 @@ def test_what_cannot_be_used_is_one_line(tmp_path, capsys):
         err = capsys.readouterr().err
         assert err.count("\n") == 1 and message in err and name in err, err
     assert not (tmp_path / "rig.yaml").exists()
+
+
+@pytest.mark.parametrize("name", ["camchain.yaml", "cameras.json", "stereo.mat", "sparse"])
+def test_damage_is_an_error_of_ours(tmp_path, name):
+    path = tmp_path / name
+    writers = {"camchain.yaml": camchain, "cameras.json": write_open3d, "stereo.mat": write_matlab}
+    writers.get(name, lambda folder: write_colmap(folder, 1.0))(path)
+    files = [path] if path.is_file() else sorted(path.iterdir())
+    whole, rng = {file: file.read_bytes() for file in files}, np.random.default_rng(2)
+    absurd = [b"nan", b"1e999", b"-", b"[", b"{", b"\x00", b"\xff", b"9" * 400, b"null", b"&a", b"\n", b""]
+    for number in range(150):
+        for file, data in whole.items():
+            at, cut = rng.integers(len(data), size=2)
+            damaged = data[:at] + absurd[rng.integers(len(absurd))] + data[at + rng.integers(12) :]
+            file.write_bytes(damaged[:cut] if number % 5 == 0 else damaged)
+        try:
+            read_rig_file(path, size=(640, 480))
+        except AdaGMMError as problem:
+            assert str(path) in str(problem) and "\n" not in str(problem)

@@ -44,7 +44,10 @@ PAIRS = 3
 
 def matches(folder: Path) -> bool:
     """Whether there are both kinds of images: true of most formats' folders too, so it is asked last."""
-    return folder.is_dir() and find_images(folder) is not None
+    try:
+        return folder.is_dir() and find_images(folder) is not None
+    except OSError:  # a folder in it that may not be listed
+        return False
 
 
 def read(folder: Path, options: ReadOptions) -> Recording:

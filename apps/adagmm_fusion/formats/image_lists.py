@@ -32,30 +32,31 @@ class ImageLists:
 
 
 def find_images(folder: Path) -> ImageLists | None:
-    """The colour and depth images in subfolders, up to two levels down, or side by side in the folder; None without."""
+    """The colour and depth images of a folder: in subfolders that are called so, or side by side; None without both.
+
+    What lies deeper is not looked at: a folder of recordings is none itself.
+    """
     groups: dict[Path, list[Path]] = {}
-    for path in islice(_files(folder, 2), MAX_ENTRIES):
+    for path in islice(_files(folder), MAX_ENTRIES):
         if path.suffix.lower() in (*COLOR_SUFFIXES, *DEPTH_SUFFIXES):
             groups.setdefault(path.parent, []).append(path)
-    depths = colors = None
-    for kind, words in (("depth", DEPTH_WORDS), ("color", COLOR_WORDS)):
+    found = {}
+    for kind, words, suffixes in (("depth", DEPTH_WORDS, DEPTH_SUFFIXES), ("color", COLOR_WORDS, COLOR_SUFFIXES)):
         ranked = []
         for parent, paths in groups.items():
-            suffixes = DEPTH_SUFFIXES if kind == "depth" else COLOR_SUFFIXES
-            name = str(parent.relative_to(folder)).lower()
             fitting = [path for path in paths if path.suffix.lower() in suffixes]
-            rank = _rank(name, words)
-            if name == "." or rank is None or (kind == "color" and _rank(name, DEPTH_WORDS) is not None):
+            rank = None if parent == folder else _rank(parent.name.lower(), words)
+            if parent == folder:
                 # Side by side: the files' own names say what they are.
-                fitting = [path for path in fitting if _is(kind, path, paths)]
-                rank = len(words)
-            if fitting and not NEITHER.search(name):
-                ranked.append((rank, len(parent.parts), -len(fitting), parent, fitting))
-        found = min(ranked)[-1] if ranked else None
-        depths, colors = (found, colors) if kind == "depth" else (depths, found)
-    if not depths or not colors:
+                fitting, rank = [path for path in fitting if _is(kind, path, paths)], len(words)
+            elif kind == "color" and _rank(parent.name.lower(), DEPTH_WORDS) is not None:
+                continue
+            if fitting and rank is not None and not NEITHER.search("" if parent == folder else parent.name):
+                ranked.append((rank, -len(fitting), parent, fitting))
+        found[kind] = min(ranked)[-1] if ranked else None
+    if not (found["depth"] and found["color"]):
         return None
-    return ImageLists(tuple(sorted(colors)), tuple(sorted(depths)))
+    return ImageLists(tuple(sorted(found["color"])), tuple(sorted(found["depth"])))
 
 
 def pair_images(lists: ImageLists) -> list[tuple[str, Path, Path]]:
@@ -78,15 +79,15 @@ def number_of(path: Path) -> float | None:
     return float(found[-1]) if found else None
 
 
-def _files(folder: Path, levels: int) -> Iterator[Path]:
+def _files(folder: Path) -> Iterator[Path]:
+    """The files in a folder and in those in it."""
     for path in sorted(folder.iterdir()):
         if path.name.startswith("."):
             continue
-        if path.is_dir():
-            if levels > 0 and not path.is_symlink():
-                yield from _files(path, levels - 1)
-        else:
+        if not path.is_dir():
             yield path
+        elif not path.is_symlink():
+            yield from (child for child in sorted(path.iterdir()) if not child.is_dir())
 
 
 def _rank(name: str, words: tuple[str, ...]) -> int | None:

@@ -1,9 +1,10 @@
 """Camera poses in whatever files people keep them, before it is known which way round they are meant.
 
-a file a frame      in a folder called pose, poses, extrinsics, c2w, ..., or beside the images: 3x4 or 4x4 numbers
-one file            a line a frame of 16 or 12 numbers, also behind the frame's number or time; of 8: time tx ty tz qx
-                    qy qz qw; of 7: without time; or Redwood's .log: three integers and four lines of four
-.npy                (N, 4, 4) or (N, 3, 4) is no depth image and is not read
+    a file a frame      in a folder called pose, poses, extrinsics, c2w, ..., or beside the images: 3x4 or 4x4 numbers
+    one file            a line a frame of 16 or 12 numbers, also behind the frame's number or time; of 8: time tx ty tz
+                        qx qy qz qw; of 7: without time; or Redwood's .log: three integers and four lines of four
+
+Lines without number or time must be as many as frames. Arrays (.npy) are not read.
 """
 
 import re
@@ -23,6 +24,7 @@ NAME = re.compile(
 )
 SUFFIXES = (".txt", ".csv", ".log", ".freiburg", ".tum", ".kitti")
 NO_POSE = re.compile(r"depth_?(2|to)|color_?(2|to)|extrinsic_?(depth|colou?r)|readme|license", re.I)
+BETTER_FIRST = (r"ground_?truth|(^|[._-])gt([._-]|$)", "traj", "pose|c2w|w2c")
 # Names that say which way round.
 TO_WORLD = re.compile(r"c2w|cam(era)?_?(2|to)_?world|T_world_cam|T_wc", re.I)
 TO_CAMERA = re.compile(r"w2c|world_?(2|to)_?cam|T_cam(era)?_world|T_cw", re.I)
@@ -54,6 +56,7 @@ def find_poses(folder: Path, images: Sequence[Path]) -> PoseList | None:
         if place == folder:
             named = [path for path in named if NAME.search(path.name)]
         named = [path for path in named if not NO_POSE.search(path.name)]
+        named.sort(key=lambda path: (_rank(path.name), path.name))
         named = [inside(folder, str(path.relative_to(folder)), str(folder)) for path in named]
         numbered = {number: path for path in named if (number := number_of(_without_kind(path))) is not None}
         if len(numbered) == len(named) and len(named) > 1:
@@ -62,6 +65,11 @@ def find_poses(folder: Path, images: Sequence[Path]) -> PoseList | None:
             if (poses := _one_file(path, images)) is not None:
                 return PoseList(poses, path)
     return None
+
+
+def _rank(name: str) -> int:
+    """The surer poses first."""
+    return next((i for i, words in enumerate(BETTER_FIRST) if re.search(words, name, re.IGNORECASE)), len(BETTER_FIRST))
 
 
 def _without_kind(path: Path) -> Path:

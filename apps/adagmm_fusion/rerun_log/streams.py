@@ -16,7 +16,7 @@ from typing import Any
 import rerun as rr
 
 from adagmm_fusion.errors import OutputError
-from adagmm_fusion.processes.interruption import Terminated, exit_code, signals_as_interrupts
+from adagmm_fusion.processes.interruption import Terminated, exit_code, heard_afterwards, signals_as_interrupts
 
 APPLICATION_ID = "adagmm_fusion"
 LOOPBACK = "127.0.0.1"
@@ -39,7 +39,8 @@ def open_stream(args: argparse.Namespace, name: str, blueprint: Any = None) -> I
     ------
     OutputError  if the file cannot be written, the server not started, or the viewer not reached.
     """
-    rec = rr.RecordingStream(APPLICATION_ID)
+    with heard_afterwards():  # one that is half made prints a traceback when it is thrown away
+        rec = rr.RecordingStream(APPLICATION_ID)
     rec.send_recording_name(name)
     with contextlib.ExitStack() as stack:
         if args.stdout:
@@ -92,18 +93,17 @@ def _close(rec: rr.RecordingStream) -> None:
 def _renamed_when_complete(path: Path) -> Iterator[Path]:
     partial = path.with_name(f".{path.name}.partial")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_bytes(bytes(LEAST_ROOM_BYTES))
-        os.truncate(partial, 0)
-    except OSError as error:
-        with contextlib.suppress(OSError):  # there may be no folder for it either
-            partial.unlink()
-        raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
-    try:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            partial.write_bytes(bytes(LEAST_ROOM_BYTES))
+            os.truncate(partial, 0)
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
         yield partial
         os.replace(partial, path)
     finally:
-        partial.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # there may be no folder for it either
+            partial.unlink()
 
 
 @contextlib.contextmanager

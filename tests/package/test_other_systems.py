@@ -29,10 +29,10 @@ WITHOUT_POSIX = """
 import builtins, os, signal, sys
 find = builtins.__import__
 
-def ours_find_none(name, globals=None, *rest):
+def ours_find_none(name, globals=None, *rest, **more):
     if name in {modules!r} and str((globals or {{}}).get("__name__")).startswith("adagmm"):
         raise ModuleNotFoundError(name)
-    return find(name, globals, *rest)
+    return find(name, globals, *rest, **more)
 
 builtins.__import__ = ours_find_none
 for call in {calls!r}:

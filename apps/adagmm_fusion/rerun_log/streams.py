@@ -17,7 +17,7 @@ import rerun as rr
 
 from adagmm_fusion.errors import OutputError
 from adagmm_fusion.files.atomic_file import check_output_file, replacing
-from adagmm_fusion.processes.interruption import Terminated, exit_code, signals_as_interrupts
+from adagmm_fusion.processes.interruption import Terminated, exit_code, heard_afterwards, signals_as_interrupts
 
 APPLICATION_ID = "adagmm_fusion"
 LOOPBACK = "127.0.0.1"
@@ -60,7 +60,8 @@ def open_stream(args: argparse.Namespace, name: str, blueprint: Any = None) -> I
     ------
     OutputError  if the file cannot be written, the server not started, or the viewer not reached.
     """
-    rec = rr.RecordingStream(APPLICATION_ID)
+    with heard_afterwards():  # one that is half made prints a traceback when it is thrown away
+        rec = rr.RecordingStream(APPLICATION_ID)
     rec.send_recording_name(name)
     with contextlib.ExitStack() as stack:
         if args.stdout:

@@ -54,7 +54,7 @@ FLAT = 1e-6
 # A direction also counts as free when its standard deviation is this share of the radius.
 FREE_DEVIATION = 0.2
 # The least share of the Gauss-Newton curvature that is left when the weights follow the pose.
-LEAST_HELD = 0.1
+LEAST_HELD = 0.05
 
 
 @dataclass(frozen=True)

@@ -141,11 +141,11 @@ def test_points_in_front_of_what_was_seen_violate_free_space():
     image = RangeImage(wall(rng), np.zeros(3))
     inside = rng.uniform(-0.3, 0.3, (500, 3))
     for z, violated in ((1.0, 1.0), (1.98, 0.0), (2.5, 0.0)):
-        assert image.violations(np.column_stack([inside[:, :2], np.full(500, z)])) == violated
-    # Nobody has looked there.
-    assert (
-        image.violations(inside + np.array([0.0, 5.0, 1.0])) == image.violations(inside - np.array([0, 0, 1.0])) == 0.0
-    )
+        found = image.violations(np.column_stack([inside[:, :2], np.full(500, z)]))
+        # Where by chance no point of the wall falls into a pixel, nothing is known.
+        assert found == pytest.approx(violated, abs=0.03)
+    for unseen in ([0.0, 5.0, 1.0], [0.0, 0.0, -1.0]):
+        assert image.violations(inside + np.array(unseen)) == 0.0
 
 
 def test_a_pose_in_front_of_what_was_seen_loses_evidence():

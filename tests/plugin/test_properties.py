@@ -21,7 +21,7 @@ SWAPPED = 2e-2
 # Flagged outliers move the centroids and with them the start; then they weigh a thousandth, and there are half as many.
 FLAGGED = {2: 0.03, 3: 0.15}
 # A normal direction more changes what σ is the mean of, and points without a partner lie on surfaces, not on curves.
-LIFTED = 2e-2
+LIFTED = 3e-2
 # More points are other samples for the search, and the refinement may begin elsewhere in the same flat optimum.
 RESAMPLED = 1e-3
 

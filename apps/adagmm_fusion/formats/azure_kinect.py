@@ -50,6 +50,7 @@ class AzureKinectStream:
     """Colour and depth of one camera, by time; depth is registered to the colour image.
 
     intrinsics : of the colour image.    depth_scale : units per metre.    fps : of the depth.    seconds : how long.
+    times : (n,) of the depth images [s], from the first one.
 
     Raises
     ------
@@ -73,6 +74,7 @@ class AzureKinectStream:
         self._T_color_depth = self._pose(cameras["PhotoVideo"])
         times = np.array([time for time, *_ in self._depth.blocks])
         self._times, self._color_times = times, np.array([time for time, *_ in self._color.blocks])
+        self.times = (times - times[0]) / 1e9
         interval = float(np.median(np.diff(times))) if len(times) > 1 else 1e9 / 30
         if interval <= 0:
             raise RecordingError(f"{path}: its depth images are not in the order of time")
@@ -91,18 +93,20 @@ class AzureKinectStream:
         index = int(np.searchsorted(self._times, self._times[0] + 1e9 * (seconds - 0.5 / self.fps)))
         if index == len(self._times):
             raise RecordingError(f"{self.path}: no frame with colour and depth at {seconds:.3f} s or later")
-        nearest = int(np.abs(self._color_times - self._times[index]).argmin())
-        apart = abs(int(self._color_times[nearest] - self._times[index])) / 1e9
-        if apart > 1.0 / self.fps:
-            raise RecordingError(f"{self.path}: the colour nearest to {seconds:.3f} s is {1000 * apart:.0f} ms away")
-        depth = self._depth_image(index)
-        registered = register_depth(
-            depth, self._depth_intrinsics, self.intrinsics, self._T_color_depth, self.depth_scale
-        )
-        return self._color_image(nearest), np.floor(registered + 0.5).astype(np.uint16), self._seconds(index)
+        return self.frame(index)
 
-    def _seconds(self, index: int) -> float:
-        return float(self._times[index] - self._times[0]) / 1e9
+    def frame(self, index: int) -> tuple[np.ndarray, np.ndarray, float]:
+        """`at`, of a depth image by its number."""
+        time = self._times[index]
+        nearest = int(np.abs(self._color_times - time).argmin())
+        apart = abs(int(self._color_times[nearest] - time)) / 1e9
+        if apart > 1.0 / self.fps:
+            raise RecordingError(
+                f"{self.path}: the colour nearest to {self.times[index]:.3f} s is {1000 * apart:.0f} ms away"
+            )
+        depth, k = self._depth_image(index), self._depth_intrinsics
+        registered = register_depth(depth, k, self.intrinsics, self._T_color_depth, self.depth_scale)
+        return self._color_image(nearest), np.floor(registered + 0.5).astype(np.uint16), float(self.times[index])
 
     def _track(self, name: str) -> Track:
         track = self._file.tracks.get(name)

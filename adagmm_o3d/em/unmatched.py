@@ -11,9 +11,8 @@ from __future__ import annotations
 
 import math
 
-# In units of the radius to the power of the dimension, less one: WORLD spheres, or circles.
-WORLD = 4.0
-AREA = {2: WORLD * 2.0 * math.pi, 3: WORLD * 4.0 * math.pi}
+# In units of the radius to the power of the dimension, less one: so many circles, or spheres.
+AREA = {2: 7.0 * 2.0 * math.pi, 3: 4.0 * 4.0 * math.pi}
 # Ends with σ of their own are compared at the density that belongs to this one: what a pose leaves unexplained costs
 # the same in all of them.
 COMPARED_SIGMA = 0.025

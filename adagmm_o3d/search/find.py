@@ -25,7 +25,7 @@ from adagmm_o3d.trust.judge import Judge
 ESTABLISHED = 0.4
 # By how much another pose has to explain the clouds better than the one near the start that the caller gave: a little
 # where it stands by itself, more where neither does.
-BETTER, MUCH_BETTER = 0.05, 0.4
+BETTER, MUCH_BETTER = 0.05, 0.25
 # Two clearly different poses whose evidence, or whose likelihood where noise hides the shape, differs by less [nats per
 # point, both clouds together] cannot be told apart. Measured gaps of likelihood: symmetric bodies sampled twice 0.00 to
 # 0.17 (1 of 30 above), rooms 0.07 and more (4 of 60 below), the simulation's models 1.9 and more.

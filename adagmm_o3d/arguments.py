@@ -30,8 +30,10 @@ def float_array(name: str, value: Any, shape: tuple[Extent, ...], *, finite: boo
     Raises
     ------
     InputTypeError  if `value` is not an array of real numbers.
-    InputError      if the shape differs or, with `finite`, a number is NaN or infinite (the first index is named).
+    InputError      if an entry is masked, the shape differs or, with `finite`, a number is NaN or infinite (the first
+        index is named).
     """
+    _refuse_masked(name, value)
     try:
         array = np.asarray(value)
     except (TypeError, ValueError):
@@ -56,8 +58,9 @@ def bool_array(name: str, value: Any, shape: tuple[Extent, ...]) -> NDArray[np.b
     Raises
     ------
     InputTypeError  if the dtype is not bool (an index list is not a mask).
-    InputError      if the shape differs.
+    InputError      if an entry is masked or the shape differs.
     """
+    _refuse_masked(name, value)
     array = np.asarray(value)
     if array.dtype != np.bool_:
         raise InputTypeError(f"{name}: expected booleans, got dtype {array.dtype}; index lists are not masks")
@@ -125,6 +128,15 @@ def whole_number(name: str, value: Any, *, minimum: int) -> int:
     if value < minimum:
         raise InputError(f"{name}: expected an integer >= {minimum}, got {int(value)}")
     return int(value)
+
+
+def _refuse_masked(name: str, value: Any) -> None:
+    """Raise where entries are masked: as a plain array they would count with whatever lies under the mask."""
+    parts = value if isinstance(value, (list, tuple)) else (value,)
+    count = int(sum(np.count_nonzero(part.mask) for part in parts if isinstance(part, np.ma.MaskedArray)))
+    if count:
+        entries = "entry is" if count == 1 else "entries are"
+        raise InputError(f"{name}: expected an array without a mask, {count} {entries} masked; drop those points first")
 
 
 def _fits(got: int, wanted: Extent) -> bool:

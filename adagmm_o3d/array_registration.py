@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from adagmm_o3d.arguments import Array, float_array
 from adagmm_o3d.errors import InputError
-from adagmm_o3d.options import Callback, check_callback, check_criteria, check_estimation_method
+from adagmm_o3d.options import (
+    Callback,
+    CriteriaArgument,
+    DeviceName,
+    EstimationMethod,
+    check_callback,
+    check_criteria,
+    check_estimation_method,
+)
 from adagmm_o3d.pairs.device import check_device, mixture_maker
 from adagmm_o3d.result import PointRegistrationResult
 
@@ -21,9 +27,9 @@ def register_points(
     target_covariances: ArrayLike | None = None,
     *,
     init: ArrayLike | str | None = None,
-    estimation_method: Any = None,
-    criteria: Any = None,
-    device: str = "auto",
+    estimation_method: EstimationMethod = None,
+    criteria: CriteriaArgument = None,
+    device: DeviceName = "auto",
     source_viewpoint: ArrayLike | None = None,
     target_viewpoint: ArrayLike | None = None,
     callback_after_iteration: Callback | None = None,
@@ -43,8 +49,8 @@ def register_points(
         or None, leaves the choice between the identity and common centroids, with starts around, to the likelihood.
         "global" searches all rotations.
     estimation_method : the options; None, or one of Open3D's own, for the defaults.
-    criteria : Open3D's ICPConvergenceCriteria; `relative_rmse` bounds the last step (see `options.Criteria`),
-        `max_iteration` the iterations reported; with 0 of them `init`, or the identity, is the result. None, or
+    criteria : `Criteria`, or Open3D's ICPConvergenceCriteria; `relative_rmse` bounds the last step, `max_iteration`
+        the iterations reported; with 0 of them `init`, or the identity, is the result. None, or
         Open3D's own defaults, for 1e-3 and 200.
     device : "cpu", "cuda", or "auto": a GPU where there is one and enough to do. The coarse levels stay on the CPU.
     source_viewpoint, target_viewpoint : (D,) from where each cloud was seen, in its own frame and unit, e.g. zeros for

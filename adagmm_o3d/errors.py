@@ -19,3 +19,7 @@ class DegenerateError(InputError):
 
 class DeviceError(AdaGMMError, RuntimeError):
     """The requested device does not exist or cannot run the kernels."""
+
+
+class MissingLibraryError(AdaGMMError, ImportError):
+    """A library that this needs is not installed or cannot be loaded; the message says how to get it."""

@@ -4,29 +4,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import open3d as o3d
 from numpy.typing import ArrayLike
 
 from adagmm_o3d.arguments import distance_limit, real_number
 from adagmm_o3d.errors import InputError, InputTypeError
-from adagmm_o3d.options import Callback, check_callback, check_criteria
-from adagmm_o3d.registration import LegacyResult, registration_adaptive_gmm
+from adagmm_o3d.lazy_open3d import o3d
+from adagmm_o3d.options import Callback, CriteriaArgument, DeviceName, EstimationMethod, check_callback, check_criteria
+from adagmm_o3d.registration import registration_adaptive_gmm
+
+if TYPE_CHECKING:
+    from adagmm_o3d.open3d_results import RegistrationResult, TensorRegistrationResult
 
 
 def multi_scale_registration_adaptive_gmm(
     source: o3d.geometry.PointCloud | o3d.t.geometry.PointCloud,
     target: o3d.geometry.PointCloud | o3d.t.geometry.PointCloud,
     voxel_sizes: Iterable[float],
-    criteria_list: Iterable[Any],
+    criteria_list: Iterable[CriteriaArgument],
     max_correspondence_distances: Iterable[float],
     init_source_to_target: ArrayLike | o3d.core.Tensor | str | None = None,
-    estimation_method: Any = None,
+    estimation_method: EstimationMethod = None,
     callback_after_iteration: Callback | None = None,
     *,
-    device: str = "auto",
-) -> LegacyResult | o3d.t.pipelines.registration.RegistrationResult:
+    device: DeviceName = "auto",
+) -> RegistrationResult | TensorRegistrationResult:
     """`registration_adaptive_gmm` at one voxel size after another, each from where the last one ended.
 
     A drop-in for `o3d.t.pipelines.registration.multi_scale_icp`, for legacy clouds as well. It is coarse to fine by

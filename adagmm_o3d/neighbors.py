@@ -1,11 +1,18 @@
-"""Exact nearest neighbours in the plane and in space, by Open3D's k-d tree."""
+"""Exact nearest neighbours in the plane and in space, by Open3D's k-d tree, or by our own where there is no Open3D."""
+
+from typing import Protocol
 
 import numpy as np
-import open3d as o3d
 from numpy.typing import NDArray
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.errors import InputError
+from adagmm_o3d.lazy_open3d import is_installed, o3d
+
+
+class _Search(Protocol):
+    def query(self, queries: Array, k: int) -> tuple[NDArray[np.int64], Array]:
+        """Indices (M, k) and squared distances (M, k), nearest first."""
 
 
 class NeighborIndex:
@@ -25,10 +32,7 @@ class NeighborIndex:
         if len(points) == 0:
             raise InputError(f"{name}: expected at least one point, got none")
         self._count = len(points)
-        # the index reads this memory in place, so it is kept alive with it
-        self._points = o3d.core.Tensor.from_numpy(points)
-        self._index = o3d.core.nns.NearestNeighborSearch(self._points)
-        self._index.knn_index()
+        self._search: _Search = Open3DSearch(points) if is_installed() else OwnSearch(points)
 
     def query(self, queries: Array, knn: int = 1) -> tuple[NDArray[np.int64], Array]:
         """The nearest points of every query, nearest first.
@@ -45,6 +49,36 @@ class NeighborIndex:
         k = min(knn, self._count)
         if len(queries) == 0:
             return np.empty((0, k), np.int64), np.empty((0, k))
-        tensor = o3d.core.Tensor.from_numpy(np.ascontiguousarray(queries, np.float64))
-        indices, squares = self._index.knn_search(tensor, k)
+        return self._search.query(np.ascontiguousarray(queries, np.float64), k)
+
+
+class Open3DSearch:
+    """Open3D's `NearestNeighborSearch`."""
+
+    def __init__(self, points: Array) -> None:
+        # the index reads this memory in place, so it is kept alive with it
+        self._points = o3d.core.Tensor.from_numpy(points)
+        self._index = o3d.core.nns.NearestNeighborSearch(self._points)
+        self._index.knn_index()
+
+    def query(self, queries: Array, k: int) -> tuple[NDArray[np.int64], Array]:
+        indices, squares = self._index.knn_search(o3d.core.Tensor.from_numpy(queries), k)
         return indices.numpy(), squares.numpy()
+
+
+class OwnSearch:
+    """The kernel `nearest_k`."""
+
+    def __init__(self, points: Array) -> None:
+        # Compiled kernels come with Numba, which is imported with the first search.
+        from adagmm_o3d.kernels.cpu.nearest_k import build_tree
+
+        self._order, *self._planes = build_tree(points)
+        self._tree = points[self._order]
+
+    def query(self, queries: Array, k: int) -> tuple[NDArray[np.int64], Array]:
+        from adagmm_o3d.kernels.cpu.nearest_k import nearest_k
+
+        indices, squares = np.empty((len(queries), k), np.int64), np.empty((len(queries), k))
+        nearest_k(self._tree, self._order, *self._planes, queries, indices, squares)
+        return indices, squares

@@ -8,13 +8,12 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Literal, get_args
-
-import open3d as o3d
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 from adagmm_o3d.arguments import real_number
 from adagmm_o3d.errors import InputError, InputTypeError
 from adagmm_o3d.kernels.limits import EPSILON
+from adagmm_o3d.lazy_open3d import is_installed, o3d
 
 DEFAULT_MAX_ITERATION = 200
 DEFAULT_RELATIVE_RMSE = 1e-3
@@ -29,6 +28,20 @@ StartName = Literal["auto", "init", "centroids"]
 # What is called after each EM iteration, with what `registration_adaptive_gmm` says of it.
 Callback = Callable[[dict[str, Any]], None]
 
+DeviceName = Literal["auto", "cpu", "cuda"]
+
+if TYPE_CHECKING:
+    Open3DEstimation: TypeAlias = (
+        o3d.pipelines.registration.TransformationEstimation | o3d.t.pipelines.registration.TransformationEstimation
+    )
+    Open3DCriteria: TypeAlias = (
+        o3d.pipelines.registration.ICPConvergenceCriteria | o3d.t.pipelines.registration.ICPConvergenceCriteria
+    )
+    EstimationMethod: TypeAlias = "TransformationEstimationForAdaptiveGMM | Open3DEstimation | None"
+    CriteriaArgument: TypeAlias = "Criteria | Open3DCriteria | None"
+else:  # nothing of Open3D is imported for them
+    EstimationMethod = CriteriaArgument = Any
+
 # What an estimation method of Open3D looks at and ours does not.
 UNUSED = {
     "TransformationEstimationForColoredICP": "colours are not looked at",
@@ -36,8 +49,6 @@ UNUSED = {
 }
 
 _log = logging.getLogger("adagmm_o3d")
-
-LEGACY, TENSOR = o3d.pipelines.registration, o3d.t.pipelines.registration
 
 
 @dataclass(frozen=True)
@@ -110,7 +121,7 @@ def check_estimation_method(value: Any) -> TransformationEstimationForAdaptiveGM
         return TransformationEstimationForAdaptiveGMM()
     if isinstance(value, TransformationEstimationForAdaptiveGMM):
         return value
-    if not isinstance(value, (LEGACY.TransformationEstimation, TENSOR.TransformationEstimation)):
+    if not _is_open3ds("TransformationEstimation", value):
         got = f"the class {value.__name__}; add ()" if isinstance(value, type) else type(value).__name__
         raise InputTypeError(
             f"estimation_method: expected TransformationEstimationForAdaptiveGMM() or one of Open3D's, got {got}"
@@ -123,6 +134,14 @@ def check_estimation_method(value: Any) -> TransformationEstimationForAdaptiveGM
     return TransformationEstimationForAdaptiveGMM()
 
 
+def _is_open3ds(name: str, value: object) -> bool:
+    """Whether a value is of one of Open3D's two classes of that name."""
+    if not is_installed():
+        return False
+    kinds = o3d.pipelines.registration, o3d.t.pipelines.registration
+    return isinstance(value, tuple(getattr(kind, name) for kind in kinds))
+
+
 def surface_thickness(estimation_method: Any) -> float:
     """The variance across the surface of covariances that a cloud lacks: `epsilon` of Open3D's method for GICP.
 
@@ -130,7 +149,9 @@ def surface_thickness(estimation_method: Any) -> float:
     ------
     InputError : an epsilon that is not in (0, 1].
     """
-    if not isinstance(estimation_method, LEGACY.TransformationEstimationForGeneralizedICP):
+    if estimation_method is None or not is_installed():
+        return EPSILON
+    if not isinstance(estimation_method, o3d.pipelines.registration.TransformationEstimationForGeneralizedICP):
         return EPSILON
     epsilon = real_number("estimation_method.epsilon", estimation_method.epsilon, above=0.0)
     if epsilon > 1.0:
@@ -143,7 +164,8 @@ def _robust_kernel(method: Any) -> str | None:
     kernel = getattr(method, "kernel", None)
     if kernel is None:
         return None
-    name: str = kernel.type.name if isinstance(kernel, TENSOR.robust_kernel.RobustKernel) else type(kernel).__name__
+    of_tensors = isinstance(kernel, o3d.t.pipelines.registration.robust_kernel.RobustKernel)
+    name: str = kernel.type.name if of_tensors else type(kernel).__name__
     return None if name == "L2Loss" else name
 
 
@@ -162,7 +184,7 @@ def _say_what_stands_for(method: str, kernel: str | None) -> None:
 
 
 def check_criteria(value: Any, *, name: str = "criteria") -> Criteria:
-    """When to stop, from Open3D's ICPConvergenceCriteria, legacy or tensor; None and Open3D's defaults for ours.
+    """When to stop, from Open3D's ICPConvergenceCriteria, or `Criteria`; None and Open3D's defaults for ours.
 
     `name` is what an error calls it. `relative_fitness` is not needed: the share of points with a partner settles with
     the pose.
@@ -174,12 +196,14 @@ def check_criteria(value: Any, *, name: str = "criteria") -> Criteria:
     ours = Criteria(DEFAULT_RELATIVE_RMSE, DEFAULT_MAX_ITERATION)
     if value is None:
         return ours
-    if not isinstance(value, (LEGACY.ICPConvergenceCriteria, TENSOR.ICPConvergenceCriteria)):
+    if not isinstance(value, Criteria) and not _is_open3ds("ICPConvergenceCriteria", value):
         raise InputTypeError(f"{name}: expected Open3D's ICPConvergenceCriteria, got {type(value).__name__}")
     if value.max_iteration < 0:
         raise InputError(f"{name}.max_iteration: expected at least 0, got {value.max_iteration}")
     if not 0.0 <= value.relative_rmse < math.inf:
         raise InputError(f"{name}.relative_rmse: expected a finite number >= 0, got {value.relative_rmse:g}")
+    if isinstance(value, Criteria):
+        return value
     if (value.relative_fitness, value.relative_rmse, value.max_iteration) == OPEN3D_DEFAULTS:
         return ours
     return Criteria(float(value.relative_rmse), int(value.max_iteration))

@@ -2,27 +2,65 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
-import open3d as o3d
 from numpy.typing import ArrayLike
 
 from adagmm_o3d.arguments import Array, distance_limit, real_number
 from adagmm_o3d.array_registration import register_points
 from adagmm_o3d.errors import InputError, InputTypeError
-from adagmm_o3d.options import Callback, check_callback, check_criteria, check_estimation_method, surface_thickness
-from adagmm_o3d.result import PointRegistrationResult
-from adagmm_o3d.tensor_registration import check_voxel_size, register_tensor_clouds
+from adagmm_o3d.lazy_open3d import o3d
+from adagmm_o3d.options import (
+    Callback,
+    CriteriaArgument,
+    DeviceName,
+    EstimationMethod,
+    check_callback,
+    check_criteria,
+    check_estimation_method,
+    surface_thickness,
+)
 from adagmm_o3d.uncertainty.surface import stand_in_covariances
 
-LegacyResult: TypeAlias = o3d.pipelines.registration.RegistrationResult
+if TYPE_CHECKING:
+    from adagmm_o3d.open3d_results import RegistrationResult, TensorRegistrationResult
 
 
-class RegistrationResult(LegacyResult):
-    """Open3D's `RegistrationResult`, with the EM's own record in `details`."""
+@overload
+def registration_adaptive_gmm(
+    source: o3d.geometry.PointCloud,
+    target: o3d.geometry.PointCloud,
+    max_correspondence_distance: float,
+    init: ArrayLike | o3d.core.Tensor | str | None = None,
+    estimation_method: EstimationMethod = None,
+    criteria: CriteriaArgument = None,
+    voxel_size: float = -1.0,
+    callback_after_iteration: Callback | None = None,
+    *,
+    init_source_to_target: ArrayLike | o3d.core.Tensor | str | None = None,
+    device: DeviceName = "auto",
+    source_viewpoint: ArrayLike | None = None,
+    target_viewpoint: ArrayLike | None = None,
+) -> RegistrationResult: ...
 
-    details: PointRegistrationResult
+
+@overload
+def registration_adaptive_gmm(  # type: ignore[overload-cannot-match]  # Open3D's types are skipped here, not by users
+    source: o3d.t.geometry.PointCloud,
+    target: o3d.t.geometry.PointCloud,
+    max_correspondence_distance: float,
+    init: ArrayLike | o3d.core.Tensor | str | None = None,
+    estimation_method: EstimationMethod = None,
+    criteria: CriteriaArgument = None,
+    voxel_size: float = -1.0,
+    callback_after_iteration: Callback | None = None,
+    *,
+    init_source_to_target: ArrayLike | o3d.core.Tensor | str | None = None,
+    device: DeviceName = "auto",
+    source_viewpoint: ArrayLike | None = None,
+    target_viewpoint: ArrayLike | None = None,
+) -> TensorRegistrationResult: ...
 
 
 def registration_adaptive_gmm(
@@ -30,16 +68,16 @@ def registration_adaptive_gmm(
     target: o3d.geometry.PointCloud | o3d.t.geometry.PointCloud,
     max_correspondence_distance: float,
     init: ArrayLike | o3d.core.Tensor | str | None = None,
-    estimation_method: Any = None,
-    criteria: Any = None,
+    estimation_method: EstimationMethod = None,
+    criteria: CriteriaArgument = None,
     voxel_size: float = -1.0,
     callback_after_iteration: Callback | None = None,
     *,
     init_source_to_target: ArrayLike | o3d.core.Tensor | str | None = None,
-    device: str = "auto",
+    device: DeviceName = "auto",
     source_viewpoint: ArrayLike | None = None,
     target_viewpoint: ArrayLike | None = None,
-) -> LegacyResult | o3d.t.pipelines.registration.RegistrationResult:
+) -> RegistrationResult | TensorRegistrationResult:
     """Register `source` onto `target` as adaptive Gaussian mixtures; a drop-in for Open3D's ICP and GICP.
 
     Two legacy clouds behave as `o3d.pipelines.registration.registration_generalized_icp`, two tensor clouds as
@@ -104,6 +142,8 @@ def registration_adaptive_gmm(
     distance = distance_limit("max_correspondence_distance", max_correspondence_distance)
     voxel_size = real_number("voxel_size", voxel_size)
     if isinstance(source, o3d.t.geometry.PointCloud) and isinstance(target, o3d.t.geometry.PointCloud):
+        from adagmm_o3d.tensor_registration import register_tensor_clouds
+
         return register_tensor_clouds(
             source,
             target,
@@ -135,6 +175,8 @@ def registration_adaptive_gmm(
         callback_after_iteration=callback_after_iteration,
     )
     evaluated = o3d.pipelines.registration.evaluate_registration(source, target, distance, details.transformation)
+    from adagmm_o3d.open3d_results import RegistrationResult
+
     result = RegistrationResult()
     result.transformation = details.transformation
     result.fitness = evaluated.fitness
@@ -165,6 +207,8 @@ def _check_legacy(source: Any, target: Any) -> None:
 
 def _thinned(name: str, cloud: o3d.geometry.PointCloud, voxel_size: float, thickness: float) -> o3d.geometry.PointCloud:
     """Voxel averages. Normals become covariances first: the mean of two that point to opposite sides means nothing."""
+    from adagmm_o3d.tensor_registration import check_voxel_size
+
     if len(cloud.points):
         check_voxel_size(name, cloud.get_min_bound(), cloud.get_max_bound(), voxel_size)
     if cloud.has_normals() and not cloud.has_covariances():

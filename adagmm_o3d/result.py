@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from adagmm_o3d.arguments import Array
 
@@ -72,6 +72,16 @@ class Deferred(Generic[Answer]):
             self._answer = work_out()
             self._work_out = None
         return self._answer
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copied and pickled as the answer itself: the clouds it is made from need not come along."""
+        return _answered, (self(),)
+
+
+def _answered(answer: Answer) -> Deferred[Answer]:
+    deferred = Deferred(lambda: answer)
+    deferred()  # so that nothing is left to be worked out, and it pickles again
+    return deferred
 
 
 @dataclass(frozen=True, eq=False)

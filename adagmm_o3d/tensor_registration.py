@@ -16,24 +16,24 @@ from adagmm_o3d.array_registration import checked_viewpoints, register_points
 from adagmm_o3d.errors import InputError, InputTypeError
 from adagmm_o3d.kernels.cuda.availability import obstacle
 from adagmm_o3d.kernels.limits import EPSILON
-from adagmm_o3d.options import Callback, TransformationEstimationForAdaptiveGMM, check_criteria
+from adagmm_o3d.open3d_results import TensorRegistrationResult
+from adagmm_o3d.options import (
+    Callback,
+    CriteriaArgument,
+    DeviceName,
+    TransformationEstimationForAdaptiveGMM,
+    check_criteria,
+)
 from adagmm_o3d.pairs.device import check_device
 from adagmm_o3d.result import Answer, Deferred, PointRegistrationResult
 from adagmm_o3d.uncertainty.surface import stand_in_covariances
 
 TensorCloud: TypeAlias = o3d.t.geometry.PointCloud
-TensorResult: TypeAlias = o3d.t.pipelines.registration.RegistrationResult
 
 # Open3D numbers the voxels along an axis in 32 bits.
 MOST_VOXELS = 2.0**31 - 1.0
 _log = logging.getLogger("adagmm_o3d")
 INTEGER_KEYS = ("iteration_index", "scale_index", "scale_iteration_index")
-
-
-class TensorRegistrationResult(TensorResult):
-    """Open3D's tensor `RegistrationResult`, with the EM's own record in `details`."""
-
-    details: PointRegistrationResult
 
 
 def register_tensor_clouds(
@@ -42,12 +42,12 @@ def register_tensor_clouds(
     max_correspondence_distance: float,
     init: ArrayLike | str | None,
     method: TransformationEstimationForAdaptiveGMM,
-    criteria: Any,
+    criteria: CriteriaArgument,
     voxel_size: float,
-    device: str,
+    device: DeviceName,
     callback_after_iteration: Callback | None,
     viewpoints: tuple[ArrayLike | None, ArrayLike | None],
-) -> TensorResult:
+) -> TensorRegistrationResult:
     """See `registration_adaptive_gmm`; arguments are checked there."""
     if source.device != target.device:
         raise InputError(
@@ -81,7 +81,7 @@ def register_tensor_clouds(
 
 def _evaluated(
     source: TensorCloud, target: TensorCloud, distance: float, transformation: o3d.core.Tensor
-) -> TensorResult:
+) -> o3d.t.pipelines.registration.RegistrationResult:
     """Open3D's `evaluate_registration`, which without a limit would look at every pair of points."""
     if distance < math.inf:
         return o3d.t.pipelines.registration.evaluate_registration(source, target, distance, transformation)
@@ -89,7 +89,7 @@ def _evaluated(
     index = o3d.core.nns.NearestNeighborSearch(target.point.positions)
     index.knn_index()
     nearest, squares = index.knn_search(moved, 1)
-    result = TensorResult()
+    result = o3d.t.pipelines.registration.RegistrationResult()
     result.fitness, result.inlier_rmse = 1.0, math.sqrt(squares.to(o3d.core.float64).mean().item())
     result.correspondence_set = nearest.to(o3d.core.int64)
     return result
@@ -100,7 +100,7 @@ def lies_on_gpu(cloud: TensorCloud) -> bool:
     return bool(cloud.is_cuda)
 
 
-def _stays_in_place(cloud: TensorCloud, device: str) -> bool:
+def _stays_in_place(cloud: TensorCloud, device: DeviceName) -> bool:
     """Whether the clouds lie on a GPU and are registered there, as they are unless device="cpu" asks otherwise."""
     if not lies_on_gpu(cloud) or device == "cpu":
         return False
@@ -116,8 +116,8 @@ def _register_in_place(
     target: TensorCloud,
     init: ArrayLike | str | None,
     method: TransformationEstimationForAdaptiveGMM,
-    criteria: Any,
-    device: str,
+    criteria: CriteriaArgument,
+    device: DeviceName,
     viewpoints: tuple[ArrayLike | None, ArrayLike | None],
     callback: Callback | None,
 ) -> PointRegistrationResult:
@@ -192,8 +192,8 @@ def _register_on_host(
     target: TensorCloud,
     init: ArrayLike | str | None,
     method: TransformationEstimationForAdaptiveGMM,
-    criteria: Any,
-    device: str,
+    criteria: CriteriaArgument,
+    device: DeviceName,
     viewpoints: tuple[ArrayLike | None, ArrayLike | None],
     callback: Callback | None,
 ) -> PointRegistrationResult:

@@ -1,20 +1,15 @@
 #!/usr/bin/env bash
-# Sets everything up on a fresh Debian or Ubuntu machine with Python >= 3.11, and registers the shipped recording.
+# Sets everything up on a fresh Debian or Ubuntu machine with Python 3.11 to 3.14, and registers the shipped recording.
 #   bash apps/demo.sh [further options of adagmm-fusion run, such as --no-rerun]
+# Once it has been set up, it needs no network.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 # shellcheck source=apps/system_packages.sh
 source apps/system_packages.sh
 install_system_packages "$LIBRARIES"
-
-if [ ! -x .venv/bin/python ]; then
-    python="$(find_python)"
-    echo "making .venv with $python"
-    "$python" -m venv .venv
-fi
-echo "installing the project and the app into .venv"
-.venv/bin/python -m pip install --quiet --disable-pip-version-check -e ".[apps]"
+install_project apps
+.venv/bin/python -m adagmm_o3d.warm_up
 
 recording=recordings/two_kinects
 output=output/two_kinects

@@ -7,13 +7,13 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 
 python=.venv/bin/python
-plugin=(bad_input_evaluation bad_input_registration bad_input_uncertainty device evaluation global_search lie
+plugin=(result_copies bad_input_evaluation bad_input_registration bad_input_uncertainty device evaluation global_search lie
     observability sampling paper_rules pose_covariance register_points registration registration_tensor uncertainty)
 
 export OMP_WAIT_POLICY=passive COVERAGE_FILE=${COVERAGE_FILE:-.coverage}
 run=("$python" -m coverage run --parallel-mode -m pytest -q -p no:cacheprovider)
 "$python" -m coverage erase
-"${run[@]}" $(printf "tests/plugin/test_%s.py " "${plugin[@]}")
+"${run[@]}" $(printf "tests/plugin/test_%s.py " "${plugin[@]}") tests/package/test_without_open3d.py tests/package/test_extensions.py
 mapfile -t uncompiled < <("$python" -c '
 import sys
 sys.path.insert(0, "tests/kernels")

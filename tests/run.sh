@@ -17,14 +17,11 @@ else
     # shellcheck source=apps/system_packages.sh
     source apps/system_packages.sh
     install_system_packages "$LIBRARIES $VIEWER_LIBRARIES"
-    if [ ! -x .venv/bin/python ]; then
-        "$(find_python)" -m venv .venv
-    fi
-    .venv/bin/python -m pip install --quiet --disable-pip-version-check -e ".[dev]"
+    install_project dev
 fi
 
 export OMP_WAIT_POLICY=passive
 .venv/bin/ruff check .
 .venv/bin/ruff format --check .
 .venv/bin/mypy
-exec .venv/bin/python -m pytest "${chosen[@]}" "$@"
+.venv/bin/python -m pytest "${chosen[@]}" "$@"

@@ -25,6 +25,8 @@ from adagmm_o3d.mixtures.checks import (
     typical_variance,
 )
 
+# Between these a factor on a variance leaves all of its digits.
+FACTORS = (1e-100, 1e100)
 # Where xx, xy, xz, yy, yz and zz stand in a matrix read row by row.
 PACKED = np.array([0, 1, 2, 4, 5, 8])
 
@@ -119,15 +121,23 @@ class Mixture:
     def normalised(self, centre: Array, scale: float, unit: float, relative: Array) -> Mixture:
         """Points from `centre` in units of `scale`, covariances in units of `unit`, with `relative` (n,) for the
         geometric mean of their variances."""
-        factor = relative / (self.variances / unit)
-        covariances = (self.covariances / unit) * factor[:, None, None]
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            factor = relative / (self.variances / unit)
+            covariances = (self.covariances / unit) * factor[:, None, None]
+            largest = self.largest_variances / unit * factor
+        # In units of another point's variance some have no number; their own always gives them one.
+        extreme = ~(np.isfinite(factor) & (factor > FACTORS[0]) & (factor < FACTORS[1]))
+        if extreme.any():
+            own, wanted = self.variances[extreme], relative[extreme]
+            covariances[extreme] = self.covariances[extreme] / own[:, None, None] * wanted[:, None, None]
+            largest[extreme] = self.largest_variances[extreme] / own * wanted
         if self.dimension == 2:
             covariances[:, 2, 2] = 1.0
         points = (self.points - centre) / scale
         mixture = Mixture(
             points, covariances, self.weights, self.dimension, self.isotropic, self.kept, self.regularised
         )
-        return mixture.knowing(variances=relative, largest_variances=self.largest_variances / unit * factor)
+        return mixture.knowing(variances=relative, largest_variances=largest)
 
 
 def packed(matrices: Array, dimension: int) -> Array:

@@ -80,7 +80,8 @@ def normalise(source: Mixture, target: Mixture) -> tuple[Mixture, Mixture, Norma
     sides = (source, target)
     variances = [m.variances for m in sides]
     unit = float(quantile(np.concatenate(variances), GOOD_SHARE))
-    relative = [np.minimum(np.maximum(v / unit, VARIANCE_RANGE[0]), VARIANCE_RANGE[1]) for v in variances]
+    with np.errstate(over="ignore"):  # beyond all numbers is beyond the range
+        relative = [np.minimum(np.maximum(v / unit, VARIANCE_RANGE[0]), VARIANCE_RANGE[1]) for v in variances]
     centres = [m.centroid(m.weights / r) for m, r in zip(sides, relative, strict=True)]
     certain = [_certain(r) for r in relative]
     scale = max(m.radius(c, m.weights * k) for m, c, k in zip(sides, centres, certain, strict=True))

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import zipfile
 import zlib
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 
+from adagmm_fusion.files.input_file import read_input
 from adagmm_o3d.errors import InputError
 
 
@@ -20,8 +22,9 @@ def read_archive(path: Path, wanted: str, names: tuple[str, ...] | None = None) 
     ------
     InputError  if the file cannot be read, is no such archive, or lacks a name.
     """
+    content = read_input(path, InputError, missing=f"expected {wanted}, there is no such file")
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with np.load(BytesIO(content), allow_pickle=False) as archive:
             return {name: archive[name] for name in (archive.files if names is None else names)}
     # TypeError: a single array, which np.load returns as it is.
     except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as error:

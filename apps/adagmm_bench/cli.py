@@ -3,74 +3,45 @@
 from __future__ import annotations
 
 import argparse
-import os
+import importlib
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 
+from adagmm_fusion.completion import add_completion
+from adagmm_fusion.missing_library import explain
 from adagmm_fusion.processes.interruption import exit_code, heard_afterwards, signals_as_interrupts
+from adagmm_fusion.processes.terminal import printing, say
+
+# The commands: the module of each, what its functions are told, and what the list of commands says of it.
+COMMANDS = {
+    "sim2d": ("simulations", {"dimension": 2}, "the four sweeps of Section 4.1 in 2D"),
+    "sim3d": ("simulations", {"dimension": 3}, "the four sweeps of Section 4.1 in 3D"),
+    "kinect": ("kinect", {}, "the paper's Kinect scenes and its Figure 18"),
+    "recordings": ("recordings", {}, "RGB-D recordings with ground truth, end to end through the app"),
+    "pairs": ("pairs", {}, "clouds as people bring them: found, and known to be wrong, beside others"),
+    "speed": ("speed", {}, "how fast, beside other libraries, and against recorded ratios"),
+    "ablation": ("ablation", {}, "what each choice of the default is worth: one undone at a time"),
+    "covariance": ("covariance", {}, "whether true errors are as large as the pose covariance says"),
+    "gpu": ("gpu", {}, "the CUDA kernels on this machine's card: right, and how fast"),
+    "replay": ("replay", {}, "one trial again, alone, printed and shown in Rerun"),
+    "methods": ("methods_list", {}, "the methods, their settings, and which can run here"),
+}
 
 
-def build_parser() -> argparse.ArgumentParser:
+def build_parser(filled_in: Sequence[str] = tuple(COMMANDS)) -> argparse.ArgumentParser:
+    """The command line's grammar; commands other than those named are in it without their options, unimported."""
     parser = argparse.ArgumentParser(
         prog="adagmm-bench", description="The paper's experiments, with other registration methods beside ours."
     )
-    from adagmm_bench.commands import (
-        ablation,
-        covariance,
-        gpu,
-        kinect,
-        methods_list,
-        pairs,
-        recordings,
-        replay,
-        simulations,
-        speed,
-    )
-
+    add_completion(parser, build_parser)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-
-    def add(name: str, summary: str, add_arguments: Callable, run: Callable) -> None:
+    for name, (module_name, told, summary) in COMMANDS.items():
         command = commands.add_parser(name, help=summary, description=summary)
-        add_arguments(command)
-        command.set_defaults(run=run)
-
-    for dimension in (2, 3):
-        add(
-            f"sim{dimension}d",
-            f"the four sweeps of Section 4.1 in {dimension}D",
-            partial(simulations.add_arguments, dimension=dimension),
-            partial(simulations.run, dimension=dimension),
-        )
-    add("kinect", "the paper's Kinect scenes and its Figure 18", kinect.add_arguments, kinect.run)
-    add(
-        "recordings",
-        "RGB-D recordings with ground truth, end to end through the app",
-        recordings.add_arguments,
-        recordings.run,
-    )
-    add(
-        "pairs",
-        "clouds as people bring them: found, and known to be wrong, beside others",
-        pairs.add_arguments,
-        pairs.run,
-    )
-    add("speed", "how fast, beside other libraries, and against recorded ratios", speed.add_arguments, speed.run)
-    add(
-        "ablation",
-        "what each choice of the default is worth: one undone at a time",
-        ablation.add_arguments,
-        ablation.run,
-    )
-    add(
-        "covariance",
-        "whether true errors are as large as the pose covariance says",
-        covariance.add_arguments,
-        covariance.run,
-    )
-    add("gpu", "the CUDA kernels on this machine's card: right, and how fast", gpu.add_arguments, gpu.run)
-    add("replay", "one trial again, alone, printed and shown in Rerun", replay.add_arguments, replay.run)
-    add("methods", "the methods, their settings, and which can run here", methods_list.add_arguments, methods_list.run)
+        if name in filled_in:
+            module = importlib.import_module(f"adagmm_bench.commands.{module_name}")
+            module.add_arguments(command, **told)
+            command.set_defaults(run=partial(module.run, **told))
     return parser
 
 
@@ -80,23 +51,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     try:
         with signals_as_interrupts():
-            return _run_command(arguments)
-    except BrokenPipeError:  # the reader of our output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+            return printing("adagmm-bench", lambda: _run_command(arguments))
     except KeyboardInterrupt as stop:
-        print("adagmm-bench: stopped; the same command goes on from here", file=sys.stderr)
+        say("adagmm-bench: stopped; the same command goes on from here")
         return exit_code(stop)
 
 
 def _run_command(arguments: Sequence[str] | None) -> int:
-    with heard_afterwards():
-        from adagmm_fusion.errors import AdaGMMError, one_line
-
-        command_line = build_parser()
-    parsed = command_line.parse_args(arguments)
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    name = next((argument for argument in arguments if argument in COMMANDS), None)
     try:
-        return parsed.run(parsed)
-    except AdaGMMError as error:
-        print(f"adagmm-bench: {one_line(error)}", file=sys.stderr)
+        if name is None:
+            build_parser([]).parse_args(arguments)  # prints what is asked for, or what is wrong, and exits
+        with heard_afterwards():
+            from adagmm_fusion.errors import AdaGMMError, one_line
+        try:
+            with heard_afterwards():
+                command_line = build_parser([name])
+            parsed = command_line.parse_args(arguments)
+            return parsed.run(parsed)
+        except AdaGMMError as error:
+            say(f"adagmm-bench: {one_line(error)}")
+            return 1
+    except (ImportError, OSError) as error:
+        if (line := explain(error, own_extra="bench")) is None:
+            raise
+        say(f"adagmm-bench: {line}")
         return 1

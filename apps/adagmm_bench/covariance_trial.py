@@ -7,11 +7,11 @@ import numpy as np
 from adagmm_bench.methods import METHODS
 from adagmm_bench.methods.ours import register
 from adagmm_bench.problem import prepare
-from adagmm_bench.trial import TrialJob, judge
+from adagmm_bench.trial import ProblemSource, TrialJob, judge
 from adagmm_o3d import lie
 
 
-def run_covariance_trial(job: TrialJob) -> dict:
+def run_covariance_trial(job: TrialJob[ProblemSource]) -> dict:
     """Register by one of our variants, judge, and compare.
 
     The record has `nees`, the normalised error squared δᵀ C⁻¹ δ with exp(δ)·T the truth: on average the number of

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from adagmm_bench.models import load_models
+from adagmm_bench.models import load_models, models_digest
 from adagmm_bench.problem import Cloud, Problem
 from adagmm_bench.simulation import TRANSLATION_LIMIT, degrade, rotation_matrix, unit_radius
 from adagmm_bench.speed.large import surface_pair
@@ -55,6 +55,9 @@ class OppositeSides:
         moved = Cloud((source.points - t) @ R, R.T @ source.covariances @ R)
         return Problem(self.key, source=moved, target=target, T_target_source=T)
 
+    def content(self) -> str:
+        return models_digest(self.models_path)
+
     def facts(self) -> dict:
         return {"dimension": self.dimension, "trial": self.trial, "seed": self.seed}
 
@@ -83,6 +86,9 @@ class DenseSurface:
 
     def load(self) -> Problem:
         return surface_pair(self.points)
+
+    def content(self) -> str:
+        return "a made surface"
 
     def facts(self) -> dict:
         return {"points": self.points}

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from adagmm_bench.archives import numbers, read_archive
+from adagmm_fusion.files.input_file import input_digest
 from adagmm_o3d.errors import InputError
 
 MODEL_FILES = {2: Path("fish2d", "fish_100.npz"), 3: Path("models3d.npz")}
@@ -48,6 +49,12 @@ def find_models(dimension: int, data_folder: Path | None) -> Path | None:
         return None
     path = data_folder / MODEL_FILES[dimension]
     return path if path.is_file() else None
+
+
+@lru_cache(maxsize=4)
+def models_digest(path: Path | None) -> str:
+    """Twelve digits that change with the file's content. Raises InputError if it cannot be read."""
+    return "made shapes" if path is None else input_digest(path, InputError)
 
 
 @lru_cache(maxsize=4)

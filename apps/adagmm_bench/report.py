@@ -12,11 +12,13 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from adagmm_bench.methods import METHODS
 from adagmm_bench.problem import PREPARATIONS
 from adagmm_bench.summary import Summary
 from adagmm_fusion.files.atomic_file import write_text
+from adagmm_fusion.processes.terminal import printable
 
 
 def machine_note() -> str:
@@ -28,7 +30,7 @@ def machine_note() -> str:
 
 def _processor() -> str:
     try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines():
             if line.startswith("model name"):
                 return line.split(":", 1)[1].strip()
     except OSError:
@@ -49,11 +51,12 @@ def markdown_table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> 
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """The same table on the terminal."""
-    table = Table(title=title, title_justify="left")
+    # Text, not str: rich would take a name in brackets for markup.
+    table = Table(title=Text(printable(title)), title_justify="left")
     for i, column in enumerate(columns):
-        table.add_column(column, justify="left" if i == 0 else "right", no_wrap=i > 0, overflow="fold")
+        table.add_column(Text(printable(column)), justify="left" if i == 0 else "right", no_wrap=i > 0, overflow="fold")
     for row in rows:
-        table.add_row(*map(str, row))
+        table.add_row(*(Text(printable(cell)) for cell in row))
     # Without a terminal there is no width to respect, and a log should not lose columns.
     Console(width=None if sys.stdout.isatty() else 160).print(table)
 

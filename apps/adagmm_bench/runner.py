@@ -36,7 +36,8 @@ def run_jobs(
     run: Callable[[TrialJob], dict] = run_trial,
     version_of: Callable[[str], str] = lambda name: METHODS[name].version(),
 ) -> list[dict]:
-    """Run what the journal does not hold yet, made by the same version of its method; return all records in job order.
+    """Run what the journal does not hold yet, made by the same version of its method of the same data; return all
+    records in job order.
 
     Raises
     ------
@@ -44,8 +45,15 @@ def run_jobs(
     """
     jobs = list(jobs)
     versions = {name: version_of(name) for name in {job.method for job in jobs}}
+    digests = {key: problem.content() for key, problem in {job.problem.key: job.problem for job in jobs}.items()}
+    contents = {job.key: digests[job.problem.key] for job in jobs}
     known = journal.records
-    left = {job.key: job for job in jobs if known.get(job.key, {}).get("version") != versions[job.method]}
+
+    def is_current(job: TrialJob) -> bool:
+        kept = known.get(job.key, {})
+        return kept.get("version") == versions[job.method] and kept.get("content") == contents[job.key]
+
+    left = {job.key: job for job in jobs if not is_current(job)}
     failures = []
     if left:
         with _progress() as progress:
@@ -56,7 +64,7 @@ def run_jobs(
                 elif result["version"] != versions[result["method"]]:
                     failures.append(f"{key}: a worker has {result['version']}, here is {versions[result['method']]}")
                 else:
-                    journal.append(result)
+                    journal.append(result | {"content": contents[key]})
                 progress.update(bar, advance=1, description=_short(key))
     if failures:
         raise TrialError(f"{len(failures)} of {len(jobs)} trials left without a result, the first is {failures[0]}")

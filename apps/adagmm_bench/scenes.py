@@ -12,8 +12,10 @@ import open3d as o3d
 from adagmm_bench.archives import numbers, read_archive
 from adagmm_bench.problem import Cloud, Problem
 from adagmm_fusion.clouds.building import clouds_from_pair
+from adagmm_fusion.files.input_file import input_digest
 from adagmm_fusion.frames.rgbd import RGBDPair
 from adagmm_fusion.pairs.settings import Settings
+from adagmm_fusion.recordings.digests import pair_digest
 from adagmm_fusion.recordings.opening import open_recording
 from adagmm_o3d.errors import AdaGMMError, InputError
 
@@ -39,6 +41,9 @@ class KinectScene:
     @property
     def key(self) -> str:
         return self.path.stem
+
+    def content(self) -> str:
+        return input_digest(self.path, InputError)
 
     def facts(self) -> dict:
         return {"scene": self.path.stem}
@@ -92,6 +97,9 @@ class FramePair:
     @property
     def key(self) -> str:
         return f"{self.recording.name} {self.name}"
+
+    def content(self) -> str:
+        return pair_digest(self.frames())
 
     def facts(self) -> dict:
         return {"recording": self.recording.name, "pair": self.name}

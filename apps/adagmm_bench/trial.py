@@ -8,13 +8,13 @@ import time
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 import open3d as o3d
 
 from adagmm_bench.methods import METHODS
-from adagmm_bench.models import load_models, make_blob, make_outline
+from adagmm_bench.models import load_models, make_blob, make_outline, models_digest
 from adagmm_bench.problem import Cloud, Problem, prepare
 from adagmm_bench.simulation import TrialId, simulate
 from adagmm_o3d.errors import InputError
@@ -23,20 +23,30 @@ from adagmm_o3d.evaluation import overlap_ratio, pose_errors
 SIMULATION_PARTNER_DISTANCE = 0.1  # radii
 
 
-class ProblemSource(Protocol):
-    """Where a problem comes from, small enough to be sent to a worker, which loads or simulates it there."""
+class TrialSource(Protocol):
+    """Where what is registered comes from, small enough to be sent to a worker, which loads or makes it there."""
+
+    @property
+    def key(self) -> str: ...
+
+    def content(self) -> str:
+        """A digest of the data that it is made of."""
+
+    def facts(self) -> dict:
+        """What a report groups by."""
+
+
+class ProblemSource(TrialSource, Protocol):
+    """Where a problem comes from."""
 
     @property
     def partner_distance(self) -> float:
         """Points nearer than this are partners, in the units of the clouds."""
 
-    @property
-    def key(self) -> str: ...
-
     def load(self) -> Problem: ...
 
-    def facts(self) -> dict:
-        """What a report groups by."""
+
+Source = TypeVar("Source", bound=TrialSource, covariant=True)
 
 
 @dataclass(frozen=True)
@@ -54,15 +64,18 @@ class SimulatedProblem:
     def load(self) -> Problem:
         return simulate(self.trial_id, load_models(self.trial_id.dimension, self.models_path).models)
 
+    def content(self) -> str:
+        return models_digest(self.models_path)
+
     def facts(self) -> dict:
         return self.trial_id.as_dict()
 
 
 @dataclass(frozen=True)
-class TrialJob:
+class TrialJob(Generic[Source]):
     """A problem to be registered by one method from one start."""
 
-    problem: ProblemSource
+    problem: Source
     method: str
     start: str
 
@@ -71,7 +84,7 @@ class TrialJob:
         return f"{self.problem.key} | {self.method} | {self.start}"
 
 
-def run_trial(job: TrialJob) -> dict:
+def run_trial(job: TrialJob[ProblemSource]) -> dict:
     """Register and judge. A method that raises is a record too: it counts with the errors of its start.
 
     Everything in the record but its times is the same bits wherever it is run on the same kind of processor.

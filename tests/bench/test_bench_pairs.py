@@ -284,6 +284,20 @@ def test_methods_run_from_the_starts_they_are_made_for():
     assert methods_for(MadePair("halves of a model", 0, 0, None), names) == names[:2]
 
 
+def test_a_digest_tells_what_a_pair_is_made_of(tmp_path):
+    """A file of the same name that holds another pair is registered anew; what is made from a seed alone never is."""
+    path = tmp_path / "one.npz"
+    public, made = PublicPair(path), MadePair("half a turn off", 0, 0, None)
+    pairs = (public, Restarted(public, WRONG_START, 0, 0), OverlapPair(ROOMS, 0.5, NEAR, 0, 0, rooms=(path,)), made)
+    digests = []
+    for angle_deg in (10.0, 10.0, 150.0):
+        write_pair(path, pose(angle_deg, 3.0))
+        digests.append([pair.content() for pair in pairs])
+    first, again, other = digests
+    assert first == again
+    assert [a == b for a, b in zip(first, other, strict=True)] == [False, False, False, True]
+
+
 def test_a_start_reaches_ours(tmp_path):
     path = tmp_path / "one.npz"
     write_pair(path, pose(150.0, 3.0))

@@ -7,14 +7,17 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 
 from adagmm_bench.journal import Journal
-from adagmm_bench.methods import METHODS
+from adagmm_bench.methods import METHODS, registry
+from adagmm_bench.models import load_models, make_outline, models_digest
 from adagmm_bench.runner import Placement, TrialError, run_jobs
 from adagmm_bench.simulation import TrialId
 from adagmm_bench.trial import SimulatedProblem, TrialJob, run_trial
 from adagmm_fusion.errors import OutputError
+from adagmm_fusion.files.journal_lines import sealed
 from adagmm_o3d.errors import InputError
 
 METHOD = "open3d-gicp-covariances"
@@ -69,7 +72,7 @@ def test_a_torn_last_line_is_dropped_and_the_next_record_is_whole(tmp_path, torn
 @pytest.mark.parametrize("line", ["not json", "[1]", '{"no": "key"}'])
 def test_a_line_that_is_no_record_is_named(tmp_path, line):
     path = tmp_path / "results.jsonl"
-    path.write_text(f'{{"key":"a"}}\n{line}\n{{"key":"b"}}\n')
+    path.write_text(f"{sealed({'key': 'a'})}\n{line}\n{sealed({'key': 'b'})}\n")
     with pytest.raises(InputError, match=r"results\.jsonl:2: expected a JSON record with a key"):
         Journal(path)
 
@@ -109,6 +112,31 @@ def test_results_of_another_version_are_made_again(tmp_path):
     with Journal(path) as journal:
         (again,) = run_jobs(jobs(1), journal, Placement(workers=1))
     assert without_times([again]) == without_times([record])
+
+
+def test_results_of_other_data_are_made_again(tmp_path):
+    """A file of models under the same name, whose models are others now."""
+    models = tmp_path / "models.npz"
+    job = TrialJob(SimulatedProblem(TrialId(2, "noise", 0.13, 0), models), METHOD, "centroids")
+    records = []
+    with Journal(tmp_path / "results.jsonl") as journal:
+        for model, run in ((0, run_trial), (0, refuse), (1, run_trial)):
+            np.savez(models, shape=make_outline(model))
+            models_digest.cache_clear()
+            load_models.cache_clear()
+            records += run_jobs([job], journal, Placement(workers=1), run=run)
+    assert records[0] == records[1] and records[0]["T_target_source"] != records[2]["T_target_source"]
+
+
+@pytest.mark.parametrize("library", ["adagmm_o3d", "open3d"])
+def test_a_version_changes_with_what_a_trial_is_made_by(library, monkeypatch):
+    """With the sources of the problem and of the methods' settings, also where the method is another library's."""
+    before = registry._version.__wrapped__(library)
+    monkeypatch.setattr(registry, "source_digest", lambda *names, **more: f"{sorted(names)}")
+    after = registry._version.__wrapped__(library)
+    assert before.split(" (")[0] == after.split(" (")[0]
+    for module in ("adagmm_bench.methods", "adagmm_bench.simulation", "adagmm_bench.problem", "adagmm_bench.trial"):
+        assert f"'{module}'" in after
 
 
 def test_a_worker_with_another_version_is_refused(tmp_path):

@@ -1,6 +1,7 @@
 """The command line: exit codes, one-line errors, results where they should be, and what an interruption leaves."""
 
 import json
+import shutil
 import subprocess
 import sys
 
@@ -11,7 +12,7 @@ from tiny_recording import small_sensor
 
 import adagmm_fusion.commands.run
 from adagmm_fusion.cli import main
-from adagmm_fusion.commands.run import selected_pairs
+from adagmm_fusion.commands.run import selected_pairs, verdict
 from adagmm_fusion.recordings.opening import open_recording
 from adagmm_fusion.rigs.rig import load_rig
 from adagmm_o3d.errors import InputError
@@ -96,9 +97,9 @@ def test_a_saved_rerun_file_goes_where_it_should(tmp_path):
     assert content(tmp_path / "out")["results"]["Rerun recording"] == "../elsewhere.rrd"
 
 
-def test_failed_pairs_are_shown_and_are_no_error_of_the_run(tmp_path, capsys):
+def test_failed_pairs_are_shown_and_the_exit_code_says_that_all_are(tmp_path, capsys):
     arguments = ["run", SHIPPED, "--pairs", "0", "--no-rerun", "--no-clouds", "--max-rotation-error", "0.0001"]
-    assert main([*arguments, "--output", str(tmp_path), *QUICK]) == 0
+    assert main([*arguments, "--output", str(tmp_path), *QUICK]) == 6
     assert "failed: 000000_right_to_left: rotation error" in capsys.readouterr().out
     assert content(tmp_path)["summary"] | {"median": None} == {
         "pairs_asked": 1,
@@ -108,6 +109,27 @@ def test_failed_pairs_are_shown_and_are_no_error_of_the_run(tmp_path, capsys):
         "median": None,
     }
     assert not (tmp_path / "rig.yaml").exists()
+
+
+def test_some_failed_pairs_are_an_error_where_that_is_asked_for(tmp_path, capsys):
+    shutil.copytree(ROOT / "calibration", tmp_path / "calibration")
+    recording = tmp_path / "recordings" / "two_kinects"
+    shutil.copytree(SHIPPED, recording)
+    (recording / "left" / "depth" / "000001.png").write_bytes(b"")
+    arguments = ["run", str(recording), "--no-rerun", "--no-clouds", "--pairs", "0,1", *QUICK]
+    assert main([*arguments, "--output", str(tmp_path / "lenient")]) == 0
+    assert main([*arguments, "--output", str(tmp_path / "strict"), "--strict"]) == 5
+    assert "1 of 2 pairs registered" in capsys.readouterr().out
+    many = ["run", str(recording.parent), "--no-rerun", "--no-clouds", "--workers", "1", *QUICK]
+    assert main([*many, "--output", str(tmp_path / "many"), "--strict"]) == 5
+
+
+@pytest.mark.parametrize(
+    ("ok", "pairs", "lenient", "strict"), [(3, 3, 0, 0), (2, 3, 0, 5), (1, 3, 0, 5), (0, 3, 6, 6), (0, 0, 0, 0)]
+)
+def test_the_exit_code_follows_from_the_pairs(ok, pairs, lenient, strict):
+    assert verdict(ok, pairs, strict=False) == lenient
+    assert verdict(ok, pairs, strict=True) == strict
 
 
 def test_an_interruption_keeps_what_was_finished(tmp_path, monkeypatch, capsys):
@@ -211,3 +233,48 @@ def test_the_version_is_told(capsys):
         main(["--version"])
     assert leaving.value.code == 0
     assert capsys.readouterr().out.startswith("adagmm-fusion 0.")
+
+
+def test_settings_are_dumped_and_taken_again(tmp_path, capsys):
+    given = ["--target-points", "2000", "--voxel-size", "0.07", "--start", "geometry", "--min-overlap", "0.25"]
+    assert main(["run", SHIPPED, *given, "--dump-config"]) == 0
+    text = capsys.readouterr().out
+    assert "target_points: 2000\n" in text and "# max_iteration: chosen as fits\n" in text
+    file = tmp_path / "settings.yaml"
+    file.write_text(text)
+    assert main(["run", SHIPPED, "--config", str(file), "--dump-config"]) == 0
+    assert capsys.readouterr().out == text
+    assert main(["run", SHIPPED, f"--config={file}", "--voxel-size", "0.08", "--dump-config"]) == 0
+    assert capsys.readouterr().out == text.replace("0.07", "0.08")
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "message"),
+    [
+        ("voxel: 1\n", 1, "settings.yaml:1: voxel: unknown key 'voxel'; known here: sensor_model, "),
+        ("voxel_size_m: 1\nvoxel_size_m: 2\n", 1, "settings.yaml:2: "),
+        ("- 1\n", 1, "expected a mapping"),
+        ("target_points: many\n", 2, "argument --target-points: invalid int value: 'many'"),
+        ("sensor_model: sonar\n", 2, "argument --sensor-model: invalid choice: 'sonar'"),
+        ("max_depth_m: -1\n", 1, "max_depth_m: expected a positive number, got -1.0"),
+    ],
+)
+def test_wrong_settings_files_are_errors(text, code, message, tmp_path, capsys):
+    file = tmp_path / "settings.yaml"
+    file.write_text(text)
+    arguments = ["run", SHIPPED, "--config", str(file), "--dump-config"]
+    if code == 2:
+        with pytest.raises(SystemExit) as leaving:
+            main(arguments)
+        assert leaving.value.code == 2
+    else:
+        assert main(arguments) == code
+    out, err = capsys.readouterr()
+    assert out == "" and message in err
+
+
+def test_a_run_can_be_quiet(tmp_path, capsys):
+    arguments = ["run", SHIPPED, "--pairs", "0", "--no-rerun", "--no-clouds", "--output", str(tmp_path), *QUICK]
+    assert main([*arguments, "--quiet"]) == 0
+    assert capsys.readouterr().out == ""
+    assert content(tmp_path)["summary"]["ok"] == 1

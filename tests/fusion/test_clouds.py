@@ -5,13 +5,13 @@ import pytest
 from depth_scene import BALL_CENTRE, BALL_RADIUS, PLANES, camera_pose, render
 
 from adagmm_fusion.clouds.building import (
-    SENSOR_MODELS,
     cloud_from_frame,
     clouds_from_pair,
     dense_cloud,
     find_voxel_size,
 )
-from adagmm_fusion.frames.depth_geometry import depth_edges, grid_normals, pixel_rays
+from adagmm_fusion.clouds.sensor_models import sensor_models
+from adagmm_fusion.frames.depth_geometry import depth_edges, depth_noise, grid_normals, pixel_rays
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame, RGBDPair
 from adagmm_fusion.meshes.depth_grid import textured_grid
 from adagmm_o3d.errors import InputError
@@ -155,7 +155,7 @@ def test_a_small_cloud_stays_whole():
     assert len(cloud_from_frame(frame).points) == len(dense_cloud(frame).points)
 
 
-@pytest.mark.parametrize("sensor_model", SENSOR_MODELS)
+@pytest.mark.parametrize("sensor_model", sensor_models())
 def test_covariances_come_from_the_sensor_model(sensor_model):
     cloud = cloud_from_frame(room_frame(), sensor_model=sensor_model)
     points, normals = np.asarray(cloud.points), np.asarray(cloud.normals)
@@ -255,3 +255,15 @@ def test_grid_step_is_checked(step):
 def test_grid_without_surface_is_an_error():
     with pytest.raises(InputError, match="frame 0: left: no surface"):
         textured_grid(plain_frame(np.zeros((240, 320))))
+
+
+def test_a_noisy_sensor_keeps_its_surfaces_and_loses_its_edges():
+    """Noise of 12 cm at 2 m looks like edges everywhere."""
+    intrinsics = PinholeIntrinsics(160, 120, 131.0, 131.0, 79.5, 59.5)
+    color, depth = render(intrinsics, camera_pose(0.0))
+    noise = 0.03 * depth**2
+    noisy = depth + np.random.default_rng(0).normal(size=depth.shape) * noise
+    frame = RGBDFrame("noisy", color, noisy, intrinsics, 1.0, "sensor")
+    np.testing.assert_allclose(np.nanmedian(depth_noise(frame.depth_m()) / noise), 1.0, rtol=0.1, atol=0)
+    assert depth_edges(frame.depth_m(), intrinsics).mean() > 0.5
+    assert len(dense_cloud(frame).points) > 0.7 * depth.size

@@ -1,5 +1,7 @@
 """`adagmm-fusion convert-rig`: what ROS and OpenCV wrote about two cameras is the same rig in our file."""
 
+import json
+
 import cv2
 import numpy as np
 import pytest
@@ -143,3 +145,81 @@ def test_what_cannot_be_used_is_one_line(tmp_path, capsys):
         err = capsys.readouterr().err
         assert err.count("\n") == 1 and message in err
     assert not (tmp_path / "rig.yaml").exists()
+
+
+DIALECTS = ("distortionCoefficients", "Distortion_Coefficients", "distCoeffs", "dist_coeff", "D", "distortion")
+
+
+@pytest.mark.parametrize("name", DIALECTS)
+def test_distortion_is_kept_whatever_its_name(tmp_path, name):
+    """iai_kinect2 writes distortionCoefficients, OpenCV's samples several others."""
+    opencv(tmp_path / "color.yaml", cameraMatrix=LEFT.matrix(), **{name: np.array(LEFT.distortion)})
+    assert convert(tmp_path, f"color={tmp_path / 'color.yaml'}", "--size", "640x480") == 0
+    assert load_rig(tmp_path / "rig.yaml").sensors["color"].intrinsics == LEFT
+
+
+@pytest.mark.parametrize("name", ["fisheyeDistortion", "lens_distortion_model", "kc", "k1", "dist9x"])
+def test_distortion_of_a_name_that_is_not_known_is_refused(tmp_path, name, capsys):
+    opencv(tmp_path / "color.yaml", cameraMatrix=LEFT.matrix(), **{name: np.array(LEFT.distortion)})
+    assert convert(tmp_path, f"color={tmp_path / 'color.yaml'}", "--size", "640x480") == 1
+    assert f"color.yaml: {name}: is it the lens distortion?" in capsys.readouterr().err
+    assert not (tmp_path / "rig.yaml").exists()
+
+
+def test_the_other_cameras_distortion_is_no_riddle(tmp_path):
+    opencv(tmp_path / "stereo.yml", M1=LEFT.matrix(), M2=RIGHT.matrix(), D2=np.array(RIGHT.distortion))
+    assert convert(tmp_path, f"left={tmp_path / 'stereo.yml'}", "--size", "640x480") == 0
+    assert load_rig(tmp_path / "rig.yaml").sensors["left"].intrinsics.distortion == ()
+
+
+def test_a_pose_as_iai_kinect2_writes_it(tmp_path):
+    T = se_inverse(T_LEFT_RIGHT)
+    for name, k in (("left", LEFT), ("right", RIGHT)):
+        opencv(tmp_path / f"{name}.yaml", cameraMatrix=k.matrix(), distortionCoefficients=np.array(k.distortion))
+    opencv(tmp_path / "calib_pose.yaml", rotation=T[:3, :3], translation=T[:3, 3])
+    sensors = [f"{name}={tmp_path / name}.yaml" for name in ("left", "right")]
+    assert convert(tmp_path, *sensors, "--stereo", tmp_path / "calib_pose.yaml", "--size", "640x480") == 0
+    is_ours(load_rig(tmp_path / "rig.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("K", "match"),
+    [
+        ("[[525, 0, 322], [0, 527, 238], [0, 0, 1]]", None),
+        ("[525, 527, 322, 238]", None),
+        ("[[525, 0, 322], [0, 527], [0, 0, 1]]", "expected a 3x3 or 4x4 matrix or fx fy cx cy, got 8 numbers"),
+        ('"525"', "OpenCV cannot read it, or a matrix in it has no numbers"),
+        ('["a", 0, 0]', "expected 3 finite numbers"),
+    ],
+)
+def test_a_camera_matrix_of_nested_lists(tmp_path, K, match, capsys):
+    (tmp_path / "k.json").write_text(f'{{"image_width": 640, "image_height": 480, "K": {K}}}')
+    assert convert(tmp_path, f"left={tmp_path / 'k.json'}") == (0 if match is None else 1)
+    if match is None:
+        assert load_rig(tmp_path / "rig.yaml").sensors["left"].intrinsics.matrix().tolist() == LEFT.matrix().tolist()
+    else:
+        err = capsys.readouterr().err
+        assert match in err and "e+308" not in err
+
+
+def test_a_camera_matrix_of_nested_lists_in_opencvs_yaml(tmp_path):
+    text = "%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\n"
+    (tmp_path / "k.yaml").write_text(text + "K: [ [525., 0., 322.], [0., 527., 238.], [0., 0., 1.] ]\n")
+    assert convert(tmp_path, f"left={tmp_path / 'k.yaml'}") == 0
+    assert load_rig(tmp_path / "rig.yaml").sensors["left"].intrinsics.matrix().tolist() == LEFT.matrix().tolist()
+
+
+def test_plain_json_as_realsense_and_orbbec_tools_write_it(tmp_path, capsys):
+    values = {"fx": 525.0, "fy": 527.0, "ppx": 322.0, "ppy": 238.0, "model": "Brown Conrady", "coeffs": [0.0] * 5}
+    (tmp_path / "k.json").write_text(json.dumps({"color": values}))
+    assert convert(tmp_path, f"left={tmp_path / 'k.json'}") == 1
+    assert "the image size is not in it" in capsys.readouterr().err
+    assert convert(tmp_path, f"left={tmp_path / 'k.json'}", "--size", "640x480") == 0
+    assert load_rig(tmp_path / "rig.yaml").sensors["left"].intrinsics.matrix().tolist() == LEFT.matrix().tolist()
+    lens = {"k1": 0.08, "k2": -0.15, "p1": 0.001, "p2": -0.0007, "k3": 0.02}
+    (tmp_path / "k.json").write_text(json.dumps({"rgbIntrinsic": values | lens | {"width": 640, "height": 480}}))
+    assert convert(tmp_path, f"left={tmp_path / 'k.json'}") == 0
+    assert load_rig(tmp_path / "rig.yaml").sensors["left"].intrinsics == LEFT
+    (tmp_path / "k.json").write_text(json.dumps(values | {"width": 640, "height": 480, "coeffs": [0.1, 0, 0, 0, 0]}))
+    assert convert(tmp_path, f"left={tmp_path / 'k.json'}") == 1
+    assert "coeffs: this lens distortion is not understood" in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 import json
 
+import cv2
 import numpy as np
 import open3d as o3d
 import pytest
@@ -15,9 +16,19 @@ from depth_scene import (
     write_seven_scenes,
     write_tum,
 )
+from folder_layouts import (
+    write_bop,
+    write_folder,
+    write_icl_nuim,
+    write_nerfstudio,
+    write_replica,
+    write_scannet,
+    write_sens,
+)
 
 from adagmm_fusion.clouds.building import dense_cloud
 from adagmm_fusion.errors import RecordingError, RigError
+from adagmm_fusion.formats.icl_nuim import INTRINSICS as ICL_INTRINSICS
 from adagmm_fusion.formats.tum import INTRINSICS as TUM_INTRINSICS
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.recordings.opening import open_recording
@@ -32,6 +43,13 @@ FORMATS = {
     "redwood": (write_redwood, SMALL, 1000, ["00000", "00001", "00002"]),
     "7scenes": (write_seven_scenes, VGA, 1000, ["frame-000000", "frame-000001", "frame-000002"]),
     "posefile": (write_pose_file, SMALL, 1000, ["00000", "00007", "00014"]),
+    "scannet": (write_scannet, SMALL, 1000, ["0", "1", "2"]),
+    "sens": (write_sens, SMALL, 1000, ["000000", "000001", "000002"]),
+    "icl-nuim": (write_icl_nuim, ICL_INTRINSICS, 5000, ["1", "2", "3"]),
+    "bop": (write_bop, SMALL, 10000, ["000000", "000001", "000002"]),
+    "replica": (write_replica, SMALL, 6553.5, ["000000", "000001", "000002"]),
+    "nerfstudio": (write_nerfstudio, SMALL, 1000, ["frame_00000", "frame_00001", "frame_00002"]),
+    "folder": (write_folder, SMALL, 1000, ["0000", "0001", "0002"]),
     "apc": (write_apc, SMALL, 10000, ["frame-000000", "frame-000001", "frame-000002"]),
 }
 
@@ -243,7 +261,53 @@ def test_redwood_without_json_is_primesense_and_without_log_has_no_truth(redwood
 
 def test_redwood_frames_must_have_partners(redwood):
     next(redwood.glob("depth/00001-*")).unlink()
-    refused(redwood, r"color: frame 00001 has no partner in depth/")
+    refused(redwood, r"no pair of frames .*; left out, without their depth image: 00001$", step=2)
+
+
+@pytest.mark.parametrize("kind", ["color", "depth"])
+def test_redwood_frames_without_a_partner_are_left_out_and_the_others_keep_their_poses(tmp_path, kind):
+    write_redwood(tmp_path, POSES, SMALL)
+    next(tmp_path.glob(f"{kind}/00001-*")).unlink()
+    recording = open_recording(tmp_path)
+    assert [entry.name for entry in recording.entries] == ["00000", "00002"]
+    missing = {"color": "colour", "depth": "depth"}[kind]
+    assert recording.notes == (f"left out, without their {missing} image: 00001",)
+    np.testing.assert_allclose(recording.entries[1].T_world_camera, POSES[2], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["camera_intrinsic.json", "intrinsic.json"])
+def test_redwood_intrinsics_may_have_either_name(redwood, name):
+    (redwood / "camera_intrinsic.json").rename(redwood / name)
+    (redwood / "trajectory.log").unlink()
+    assert open_recording(redwood).format == "redwood"
+    assert open_recording(redwood)[0].source.intrinsics.width == 32
+
+
+@pytest.mark.parametrize("units", [1e3, 1e6, 1e9])
+@pytest.mark.parametrize("start", [0.0, 1305031233.0])
+def test_tum_times_in_other_units(tmp_path, units, start):
+    """As a clock that counts from zero, and as one that counts from 1970, gives them."""
+    seconds = tmp_path / "seconds" / "freiburg1"
+    write_tum(seconds, POSES, PinholeIntrinsics(32, 24, 30.0, 30.0, 16.0, 12.0))
+    expected = open_recording(seconds).entries
+    for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):
+        rows = [row.split(maxsplit=1) for row in (seconds / name).read_text().splitlines() if not row.startswith("#")]
+        moved = [f"{round((float(stamp) - 100.0 + start) * units + units)} {rest}" for stamp, rest in rows]
+        (seconds / name).write_text("\n".join(moved) + "\n")
+    entries = open_recording(seconds.rename(tmp_path / "freiburg1")).entries
+    assert len(entries) == len(POSES)
+    for entry, known in zip(entries, expected, strict=True):
+        assert entry.timestamp == pytest.approx(known.timestamp - 99.0 + start, rel=0, abs=0.001)
+        np.testing.assert_allclose(entry.T_world_camera, known.T_world_camera, rtol=0, atol=1e-3)
+
+
+def test_seven_scenes_colour_may_be_jpeg(tmp_path):
+    write_seven_scenes(tmp_path, POSES[:2], VGA)
+    for path in tmp_path.glob("*.color.png"):
+        assert cv2.imwrite(str(path.with_suffix(".jpg")), cv2.imread(str(path)))
+        path.unlink()
+    frame = open_recording(tmp_path)[0].source
+    assert np.abs(frame.color.astype(int) - render(VGA, POSES[1])[0]).mean() < 10
 
 
 @pytest.mark.parametrize(

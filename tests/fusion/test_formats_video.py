@@ -3,6 +3,7 @@
 The stand-in replaces the reader class only, which needs libraries and a camera's recording of hundreds of megabytes.
 """
 
+import os
 import re
 from types import SimpleNamespace
 
@@ -14,6 +15,7 @@ from realsense_bag import write_bag
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
+from adagmm_fusion.cli import main
 from adagmm_fusion.errors import RecordingError, RigError
 from adagmm_fusion.formats import video
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
@@ -146,6 +148,68 @@ def test_missing_colors(tmp_path):
         recording.frame(4)
 
 
+CLOCKS = {
+    "a pause": [0.0, 0.1, 2.1, 2.2],
+    "an hour on": [0.0, 0.1, 3600.1, 3600.2],
+    "116 days on": [0.0, 0.1, 1e7, 1e7 + 0.1],
+    "an hour back": [3600.0, 3600.1, 0.05, 0.15],
+    "back into times that were there": [0.5, 0.6, 0.5, 0.6],
+    "the same time": [0.0, 0.1, 0.1, 0.1],
+}
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_a_frame_for_each_depth_image_whatever_the_clock_says(tmp_path, clock, capsys):
+    times = CLOCKS[clock]
+    path = bag(tmp_path, count=4, times=times)
+    recording = open_recording(path)
+    assert len(recording.entries) == 4 and len(recording) == 3
+    assert len({entry.name for entry in recording.entries}) == 4
+    for number in (2, 0, 3, 1):
+        frame = recording.entries[number].load()
+        color, depth = numbered("a", number)
+        np.testing.assert_array_equal(frame.depth, depth)
+        if clock != "the same time":  # any of the colours of that time is right
+            np.testing.assert_array_equal(frame.color, color)
+        assert frame.timestamp == pytest.approx(times[number] - times[0], rel=1e-9, abs=1e-9)
+    assert main(["info", str(path)]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert ("pauses or jumps of the clock: 1" in told) == (clock in ("a pause", "an hour on", "116 days on"))
+    assert ("clock stands still or is set back: " in told) == ("back" in clock or clock == "the same time")
+
+
+def test_even_times_are_no_pause(tmp_path, capsys):
+    assert main(["info", str(bag(tmp_path))]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "time from frame to frame │ 100 ms" in told and "clock" not in told
+
+
+def test_frames_that_only_one_sensor_has(tmp_path):
+    """A pause of one sensor, and a frame that came late: what belongs together is told by the times."""
+    bag(tmp_path, "a", times=[0.0, 0.1, 0.2, 0.3, 0.4])
+    bag(tmp_path, "b", times=[0.0, 0.13, 0.31, 0.4, 0.5])
+    recording = open_recording(tmp_path)
+    together = {}
+    for entry in recording.entries:
+        together.setdefault(entry.name, {})[entry.sensor] = int(entry.load().color[0, 0, 0])
+    assert together == {
+        "00000000ms": {"a": 0, "b": 0},
+        "00000100ms": {"a": 1, "b": 1},
+        "00000200ms": {"a": 2},
+        "00000300ms": {"a": 3, "b": 2},
+        "00000400ms": {"a": 4, "b": 3},
+    }
+    assert len(recording) == 4
+
+
+def test_a_length_of_centuries(fake_mkv, tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        FakeMKV, "get_metadata", lambda self: SimpleNamespace(width=64, height=48, stream_length_usec=1 << 62)
+    )
+    with pytest.raises(RecordingError, match=r"a\.mkv: expected at most 1000000 frames, by its length it has"):
+        open_recording(files(tmp_path, "a.mkv"), rig=RIG)
+
+
 def test_two_files_are_a_pair_of_sensors_whose_poses_the_rig_knows(tmp_path):
     for sensor in ("b", "a"):
         bag(tmp_path, sensor)
@@ -229,7 +293,7 @@ def test_a_bag_of_something_else(tmp_path):
         connection = writer.add_connection("/chatter", "std_msgs/msg/String", typestore=types)
         text = types.types["std_msgs/msg/String"]("hello")
         writer.write(connection, 1, bytes(types.serialize_ros1(text, "std_msgs/msg/String")))
-    with pytest.raises(RecordingError, match=r"a\.bag: expected a RealSense recording with Depth_0 images"):
+    with pytest.raises(RecordingError, match=r"a\.bag: expected topics of a camera's colour and depth"):
         open_recording(path)
 
 
@@ -243,6 +307,17 @@ def test_the_real_mkv_reader_has_what_the_stand_in_has():
     methods = [name for name in vars(FakeMKV) if callable(getattr(FakeMKV, name)) and not name.startswith("_")]
     assert "next_frame" in methods and all(hasattr(o3d.io.AzureKinectMKVReader, name) for name in methods)
     assert not hasattr(o3d.io.AzureKinectMKVReader, "get_timestamp")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes of POSIX")
+@pytest.mark.parametrize("suffix", ["bag", "mkv"])
+def test_a_pipe_that_is_called_a_video(tmp_path, suffix):
+    """Opened by the libraries it would wait for ever."""
+    os.mkfifo(tmp_path / f"a.{suffix}")
+    with pytest.raises(RecordingError, match=rf"a\.{suffix}: cannot be read: it is a pipe or a device, not a file"):
+        open_recording(tmp_path, rig=RIG)
+    with pytest.raises(RecordingError, match=f"a.{suffix}: "):
+        open_recording(tmp_path / f"a.{suffix}", format="video", rig=RIG)
 
 
 def test_no_video_at_all(tmp_path):

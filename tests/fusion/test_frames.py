@@ -131,3 +131,10 @@ def test_pair_refuses_what_is_not_rigid(T, word):
 
 def test_pair_accepts_no_ground_truth():
     assert RGBDPair("a-b", make_frame(), make_frame(), None, 3).T_target_source is None
+
+
+def test_a_transposed_transformation_is_named():
+    T = np.eye(4)
+    T[:3, 3] = 1.0, 2.0, 3.0
+    with pytest.raises(InputError, match=r"^pose: looks transposed, 0 0 0 1 is its last column"):
+        checked_rigid_transformation(T.T, "pose")

@@ -108,7 +108,7 @@ def test_an_interrupted_run_goes_on_where_it_was(walk, tmp_path, monkeypatch, ca
 
 def test_other_settings_do_not_mix(walk, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(registration, "register_scene", None)
-    EdgeFile(tmp_path / "registrations.jsonl", {"recording": "another"})
+    EdgeFile(tmp_path / "registrations.jsonl", {"recording": "another"}, 5)
     assert fuse(walk, tmp_path) == 1
     err = capsys.readouterr().err
     assert err.count("\n") == 1 and "registrations.jsonl: holds registrations of another recording" in err
@@ -234,22 +234,22 @@ def test_loops_are_sought_near_by_and_far_along_the_path():
 
 def test_finished_registrations_are_found_again_without_a_line_cut_off(tmp_path):
     path, of = tmp_path / "edges.jsonl", {"recording": "a"}
-    file = EdgeFile(path, of)
+    file = EdgeFile(path, of, 4)
     T = lie.se_exp((0.1, 0.2, 0.3, 1.0, 2.0, 3.0))
     file.add(Edge(1, 0, T, np.diag(np.arange(1.0, 7.0)), False))
     file.add(Edge(2, 1, None, None, True, "overlap 0.02 is below 0.3"))
     whole = path.read_text()
     path.write_text(whole + '{"source": 3, "tar')
-    again = EdgeFile(path, of)
+    again = EdgeFile(path, of, 4)
     assert path.read_text() == whole
     np.testing.assert_array_equal(again.find(1, 0).transformation, T)
     assert again.find(1, 0).usable and not again.find(2, 1).usable and again.find(2, 1).loop_closure
     assert again.find(3, 2) is None
     with pytest.raises(OutputError, match="another recording"):
-        EdgeFile(path, {"recording": "b"})
+        EdgeFile(path, {"recording": "b"}, 4)
     path.write_text(whole + "nonsense\n")
     with pytest.raises(OutputError, match="is damaged"):
-        EdgeFile(path, of)
+        EdgeFile(path, of, 4)
 
 
 @pytest.mark.parametrize("distortion", [(), (0.15, -0.1, 0.001, -0.002)])

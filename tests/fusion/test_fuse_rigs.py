@@ -174,7 +174,7 @@ def test_memory_does_not_grow_with_the_recording(tmp_path, monkeypatch):
     monkeypatch.setattr(registration, "registered_edge", registered)
     scene = scene_of(recording)
     settings = fixed_voxel_size(recording.entries[0].load(), Settings(device="cpu"))
-    file = EdgeFile(tmp_path / "edges.jsonl", {})
+    file = EdgeFile(tmp_path / "edges.jsonl", {}, count)
     registration.register_scene(recording, scene, settings, file, lambda *progress: None)
     assert len(file.edges) > count and len(most) > 2 * count
     assert max(most) <= 9

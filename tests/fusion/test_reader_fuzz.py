@@ -249,7 +249,8 @@ def test_a_file_that_is_none(format, kind, tmp_path):
             path.mkdir()
         with bounded():
             problems = read_everything(folder, format, rig)
-        if name.endswith((".png", ".mat")) and "/" in name:
+        optional = kind == "gone" and "confidence" in name  # phones do not always record it
+        if name.endswith((".png", ".mat")) and "/" in name and not optional:
             assert problems, name
 
 
@@ -447,4 +448,4 @@ def test_an_image_that_says_it_is_huge(read, data):
 
 
 def test_formats_left_out_here_are_not_folders_of_files():
-    assert set(FORMATS) - set(WRITERS) == {"video"}
+    assert set(FORMATS) - set(WRITERS) == {"video", "rosbag"}

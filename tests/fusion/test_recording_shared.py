@@ -6,8 +6,11 @@ import pytest
 from shared_data import shared_data
 
 from adagmm_fusion.clouds.building import cloud_from_frame, dense_cloud
+from adagmm_fusion.formats.options import PRIMESENSE
+from adagmm_fusion.formats.tum import INTRINSICS as TUM_INTRINSICS
 from adagmm_fusion.meshes.depth_grid import textured_grid
 from adagmm_fusion.recordings.opening import open_recording
+from adagmm_fusion.rigs.rig import Rig, SensorCalibration
 
 pytestmark = pytest.mark.slow
 
@@ -59,3 +62,28 @@ def test_clouds_and_grids_for_registration_and_display(name):
         assert 3000 < len(cloud.points) < 4000 and cloud.has_covariances()
         vertices, triangles, uvs = textured_grid(frame)
         assert len(triangles) > 3000 and len(vertices) == len(uvs)
+
+
+# Intrinsics and depth scale, which no file says, and how far [m, and entries of the rotation] the poses may be: the
+# nearest in time are taken, not interpolated.
+AS_FOLDERS = {
+    "redwood_open3d_5frames": (PRIMESENSE, 1000.0, 1e-9),
+    "tum_fr1_rpy_kinect_v1": (TUM_INTRINSICS["1"], 5000.0, 0.02),
+}
+
+
+@pytest.mark.parametrize("name", AS_FOLDERS)
+def test_the_generic_reader_finds_the_same(name):
+    """Images, partners, and which way round the poses are, without knowing the format."""
+    folder = shared_data("recordings", name)
+    intrinsics, depth_scale, atol = AS_FOLDERS[name]
+    rig = Rig("one", {"camera": SensorCalibration("camera", intrinsics, depth_scale, None)})
+    found, known = open_recording(folder, format="folder", rig=rig), open_recording(folder)
+    assert len(found.entries) == len(known.entries)
+    assert "are read as camera to world" in found.notes[-1]
+    for ours, theirs in zip(found.entries, known.entries, strict=True):
+        if theirs.T_world_camera is not None:
+            np.testing.assert_allclose(ours.T_world_camera, theirs.T_world_camera, rtol=0, atol=atol)
+    frames = found.entries[0].load(), known.entries[0].load()
+    assert frames[0].intrinsics.matrix().tolist() == frames[1].intrinsics.matrix().tolist()
+    assert np.array_equal(frames[0].depth, frames[1].depth)

@@ -1,11 +1,16 @@
 """Tasks on local processes and on a real Dask cluster: nothing is lost when workers die."""
 
+import contextlib
+import gc
 import os
 import signal
+import socket
+import threading
 import time
 
 import pytest
 
+from adagmm_fusion.processes import task_pool
 from adagmm_fusion.processes.task_pool import SchedulerError, TaskFailure, WorkerError, run_tasks
 from adagmm_o3d.errors import InputError
 
@@ -153,3 +158,47 @@ def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
     monkeypatch.setattr("adagmm_fusion.processes.task_pool.CONNECT_SECONDS", 1)
     with pytest.raises(SchedulerError, match=DEAD_SCHEDULER):
         list(run_tasks(square, {"a": 1}, scheduler=DEAD_SCHEDULER))
+
+
+@pytest.fixture
+def somebody_else():
+    """The address of a server that talks another language, and of one that says nothing."""
+    servers = [socket.create_server(("127.0.0.1", 0)) for _ in range(2)]
+
+    def talk():
+        with contextlib.suppress(OSError):  # closed in the end
+            while True:
+                connection, _ = servers[0].accept()
+                connection.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n" * 20)
+                connection.close()
+
+    threading.Thread(target=talk, daemon=True).start()
+    yield [f"tcp://127.0.0.1:{server.getsockname()[1]}" for server in servers]
+    for server in servers:
+        server.shutdown(socket.SHUT_RDWR)
+        server.close()
+
+
+def test_a_scheduler_that_is_none_is_one_line(somebody_else, monkeypatch, capfd):
+    """Dask's client would print tracebacks, also when it is thrown away."""
+    pytest.importorskip("distributed", reason="needs the [distributed] extra")
+    monkeypatch.setattr(task_pool, "CONNECT_SECONDS", 2)
+    wrong = [*somebody_else, "tls://127.0.0.1:1", "tcp://127.0.0.1:99999", "http://127.0.0.1:80", "", "a:b", "x" * 3000]
+    for address in wrong:
+        with pytest.raises(SchedulerError, match=r"^scheduler: no Dask scheduler answers at ") as caught:
+            list(run_tasks(square, {"a": 2}, scheduler=address))
+        assert "\n" not in str(caught.value)
+        del caught
+    gc.collect()
+    out, err = capfd.readouterr()
+    assert (out, err) == ("", "")
+
+
+def test_a_worker_is_no_scheduler():
+    distributed = pytest.importorskip("distributed", reason="needs the [distributed] extra")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0", silence_logs=50
+    ) as local:
+        address = next(iter(local.workers.values())).address
+        with pytest.raises(SchedulerError, match=r"expected a Dask scheduler at .*, there is a Worker"):
+            list(run_tasks(square, {"a": 2}, scheduler=address))

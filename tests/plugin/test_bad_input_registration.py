@@ -14,6 +14,7 @@ from adagmm_o3d import (
     InputError,
     InputTypeError,
     TransformationEstimationForAdaptiveGMM,
+    mark_outliers,
     register_points,
     registration_adaptive_gmm,
 )
@@ -237,6 +238,34 @@ def test_points_as_arrays(side, points, error, message):
 def test_covariances_as_arrays(side, covariances, error, message):
     arguments = {"source": POINTS[3], "target": POINTS[3], f"{side}_covariances": covariances}
     check(lambda: register_points(**arguments), error, f"{side}.{message}")
+
+
+@pytest.mark.parametrize("side", ["source", "target"])
+def test_arrays_with_a_mask(side):
+    """What lies under a mask is no point; as a plain array it would count."""
+    cloud = POINTS[3]
+    clouds = {"source": cloud, "target": cloud}
+    message = rf"^{side}\.{{}}: expected an array without a mask, {{}} masked; drop those points first$"
+    masked = np.ma.masked_array(cloud, np.zeros(cloud.shape, bool))
+    plain = register_points(cloud, cloud)
+    whole = register_points(**(clouds | {side: masked}))
+    np.testing.assert_array_equal(whole.transformation, plain.transformation)
+    masked[4, 1] = np.ma.masked
+    for points in (masked, [masked[i] for i in range(N)]):
+        with pytest.raises(InputError, match=message.format("points", "1 entry is")):
+            register_points(**(clouds | {side: points}))
+    covariances = np.ma.masked_array(UNIT, np.arange(N)[:, None, None] * np.ones((3, 3)) == 7)
+    with pytest.raises(InputError, match=message.format("covariances", "9 entries are")):
+        register_points(cloud, cloud, **{f"{side}_covariances": covariances})
+
+
+def test_masks_in_other_arguments():
+    flags = np.ma.masked_array(np.zeros(N, bool), np.arange(N) == 3)
+    with pytest.raises(InputError, match=r"^mask: expected an array without a mask, 1 entry is masked"):
+        mark_outliers(UNIT, flags)
+    init = np.ma.masked_array(np.eye(4), np.eye(4) == 1)
+    with pytest.raises(InputError, match=r"^init: expected an array without a mask, 4 entries are masked"):
+        register_points(POINTS[3], POINTS[3], init=init)
 
 
 def test_points_of_the_plane_in_one_place():

@@ -214,6 +214,28 @@ def test_covariances_of_very_different_sizes(cloud, rule, factor):
     assert_right_or_doubted(result, T)
 
 
+@pytest.mark.parametrize("isotropic", [True, False])
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize(
+    ("large", "small"), [(1e300, 1e-300), (1e200, 1e-200), (1e304, 1e-307), (1e300, 1.0), (1.0, 1e-300)]
+)
+def test_covariances_of_one_cloud_at_both_ends_of_all_numbers(large, small, dimension, isotropic):
+    """As points that are flagged and points that are not: neither a wrong pose nor NumPy's LinAlgError."""
+    rng = np.random.default_rng(3)
+    points, T = bumpy(rng, N, dimension), random_pose(rng, dimension, angle=0.2, distance=0.2)
+    covariances = np.tile(np.eye(dimension), (N, 1, 1))
+    if not isotropic:
+        factors = rng.normal(size=(N, dimension, dimension))
+        covariances += factors @ factors.transpose(0, 2, 1)
+    covariances[: N // 2] *= large
+    covariances[N // 2 :] *= small
+    rotation = T[:dimension, :dimension]
+    result = register_points(points, move(points, T), covariances, rotation @ covariances @ rotation.T)
+    assert_finite(result)
+    errors = pose_errors(T, result.transformation)
+    assert errors.rotation_deg < 2.0 and errors.translation < 0.05
+
+
 @rules
 @pytest.mark.parametrize("thickness", [1e-3, 1e-6, 1e-9, 1e-11])
 def test_covariances_as_thin_as_paper(cloud, rule, thickness):

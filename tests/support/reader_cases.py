@@ -15,6 +15,19 @@ from depth_scene import (
     write_tum,
     write_xtion,
 )
+from folder_layouts import (
+    write_bop,
+    write_folder,
+    write_icl_nuim,
+    write_nerfstudio,
+    write_polycam,
+    write_record3d,
+    write_replica,
+    write_scanner_app,
+    write_scannet,
+    write_sens,
+    write_stray,
+)
 
 from adagmm_fusion.clouds.building import dense_cloud
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
@@ -28,12 +41,14 @@ POSES = [camera_pose(-4.0), camera_pose(6.0, (0.05, 0.1, 1.2))]
 
 def rig_of(format: str) -> Rig:
     """The intrinsics and depth scale of every format's images here."""
-    depth_scale = {"tum": 5000.0, "apc": 10000.0}.get(format, 1000.0)
+    depth_scale = {"tum": 5000.0, "icl-nuim": 5000.0, "apc": 10000.0, "bop": 10000.0, "replica": 6553.5}.get(
+        format, 1000.0
+    )
     return Rig("one", {"sensor": SensorCalibration("sensor", INTRINSICS, depth_scale, None)})
 
 
 # The others know their own.
-NEEDS_RIG = ("tum", "7scenes")
+NEEDS_RIG = ("tum", "7scenes", "icl-nuim")
 
 
 def write_own(folder: Path, poses, intrinsics) -> None:
@@ -58,6 +73,12 @@ def write_small_xtion(folder: Path, poses, intrinsics) -> None:
     write_xtion(folder, poses, intrinsics, intrinsics, T_color_depth, moments=(2,))
 
 
+def of_phone(write):
+    """Colour of four times the size, so that the depth is as large as in the other formats."""
+    fine = PinholeIntrinsics(64, 48, 56.0, 56.0, 31.5, 23.5)
+    return lambda folder, poses, intrinsics: write(folder, poses, fine)
+
+
 WRITERS = {
     "adagmm": write_own,
     "tum": write_tum,
@@ -66,6 +87,17 @@ WRITERS = {
     "posefile": write_pose_file,
     "apc": write_apc,
     "xtion": write_small_xtion,
+    "scannet": write_scannet,
+    "sens": write_sens,
+    "icl-nuim": write_icl_nuim,
+    "bop": write_bop,
+    "replica": write_replica,
+    "nerfstudio": write_nerfstudio,
+    "folder": write_folder,
+    "stray": of_phone(write_stray),
+    "polycam": of_phone(write_polycam),
+    "scanner-app": of_phone(write_scanner_app),
+    "record3d": of_phone(write_record3d),
 }
 
 

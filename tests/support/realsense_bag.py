@@ -13,9 +13,19 @@ FILE_VERSION = 4
 
 
 def write_bag(
-    path: Path, frames, depth_intrinsics, color_intrinsics, *, T_color_depth=None, fps=30, units=0.001, color="rgb8"
+    path: Path,
+    frames,
+    depth_intrinsics,
+    color_intrinsics,
+    *,
+    T_color_depth=None,
+    fps=30,
+    units=0.001,
+    color="rgb8",
+    times=None,
 ):
-    """frames: (color (H, W, 3) uint8 RGB, depth (h, w) uint16) at `fps`; the depth camera is the common frame."""
+    """frames: (color (H, W, 3) uint8 RGB, depth (h, w) uint16) at `fps`, or at `times` [s]; the depth camera is the
+    common frame."""
     types = get_typestore(Stores.ROS1_NOETIC)
     info = "uint32 fps\nstring encoding\nbool is_recommended\n"
     types.register(get_types_from_msg(info, "realsense_msgs/msg/StreamInfo"))
@@ -63,7 +73,7 @@ def write_bag(
             shift = message("geometry_msgs/msg/Vector3", *map(float, T[:3, 3]))
             put(f"{sensor}/{stream}/tf/0", "geometry_msgs/msg/Transform", shift, turn)
         for number, images in enumerate(frames):
-            time = FIRST_TIME + round(number * 1e9 / fps)
+            time = FIRST_TIME + round(number * 1e9 / fps if times is None else times[number] * 1e9)
             color_image = images[0] if color == "rgb8" else images[0][:, :, ::-1]
             for n, image in enumerate((images[1], color_image)):
                 if image is None:

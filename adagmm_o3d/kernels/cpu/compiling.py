@@ -9,13 +9,15 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 from numba.core import event
+from numba.core.caching import FunctionCache
 
+from adagmm_o3d.kernels.cpu.cache_folder import find_a_folder
 from adagmm_o3d.kernels.formulas import build
 
 # Each of these is needed for vector code, and none assumes that there are no NaN or infinities.
 FAST = {"reassoc", "contract", "arcp", "nsz"}
 FLAGS = {"fastmath": FAST, "error_model": "numpy"}
-SERIAL_KERNEL_FLAGS = {"cache": True, "nogil": True, **FLAGS}
+SERIAL_KERNEL_FLAGS = {"cache": find_a_folder(FunctionCache), "nogil": True, **FLAGS}
 KERNEL_FLAGS = {"parallel": True, **SERIAL_KERNEL_FLAGS}
 F0, F1 = np.float32(0.0), np.float32(1.0)
 

@@ -13,6 +13,7 @@ from numba.core.errors import NumbaPerformanceWarning
 
 from adagmm_o3d.errors import DeviceError
 from adagmm_o3d.kernels.cpu import culling
+from adagmm_o3d.kernels.cpu.cache_folder import find_a_folder
 from adagmm_o3d.kernels.cuda.availability import missing_front_end, simulated
 from adagmm_o3d.kernels.formulas import build
 
@@ -46,14 +47,21 @@ def fast(function):
     return function if simulated() else cuda.jit(device=True, fastmath=True)(function)
 
 
+def _kept() -> bool:
+    """Whether compiled kernels can be kept on disk."""
+    from numba.cuda.dispatcher import CUDACache
+
+    return find_a_folder(CUDACache)
+
+
 def kernel(function):
     """A function that is launched; kept on disk once it is compiled."""
-    return cuda.jit(function) if simulated() else cuda.jit(cache=True)(function)
+    return cuda.jit(function) if simulated() else cuda.jit(cache=_kept())(function)
 
 
 def fast_kernel(function):
     """The same for one that calls `fast` functions: how float32 rounds is settled for a kernel as a whole."""
-    return cuda.jit(function) if simulated() else cuda.jit(cache=True, fastmath=True)(function)
+    return cuda.jit(function) if simulated() else cuda.jit(cache=_kept(), fastmath=True)(function)
 
 
 @fast

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Mapping, Sequence
 
 from adagmm_bench.commands.kinect import found as found_scene
-from adagmm_bench.commands.options import add_data, add_output, add_placement, data_folder, open_journal, placement
+from adagmm_bench.commands.options import (
+    add_data,
+    add_output,
+    add_placement,
+    check_count,
+    data_folder,
+    open_journal,
+    placement,
+)
 from adagmm_bench.extra_pairs import LOST, DenseSurface, OppositeSides, found_part
 from adagmm_bench.methods.ablations import ABLATIONS
 from adagmm_bench.models import find_models
@@ -26,6 +33,7 @@ from adagmm_bench.simulation import REPETITIONS, trial_ids
 from adagmm_bench.summary import Summary, found_in_simulation, summarise
 from adagmm_bench.trial import ProblemSource, SimulatedProblem, TrialJob
 from adagmm_fusion.files.atomic_file import write_text
+from adagmm_fusion.processes.terminal import printable, say
 from adagmm_o3d.errors import InputError
 
 START = "as-given"  # so that what the default does about translation counts too
@@ -45,8 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    if arguments.trials < 1:
-        raise InputError(f"trials: expected 1 or more, got {arguments.trials}")
+    check_count("trials", arguments.trials)
     folder = data_folder(arguments)
     problems: dict[str, Sequence[ProblemSource]] = {
         f"{dimension}D": [
@@ -58,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         problems["Kinect"] = find_scenes(folder)
     except InputError as error:
-        print(f"left out the Kinect scenes: {error}", file=sys.stderr)
+        say(printable(f"left out the Kinect scenes: {error}"))
     problems["sides"] = [
         OppositeSides(dimension, trial, arguments.seed, find_models(dimension, folder))
         for dimension in (2, 3)
@@ -95,7 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     for group, members in summaries.items():
         print_table(f"one choice undone at a time: {group}", *ablation_table({group: members}))
-    print(f"report and every trial: {arguments.output}")
+    print(printable(f"report and every trial: {arguments.output}"))
     return 0
 
 

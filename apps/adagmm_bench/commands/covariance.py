@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from adagmm_bench.commands.kinect import found as found_scene
-from adagmm_bench.commands.options import add_data, add_output, add_placement, data_folder, open_journal, placement
+from adagmm_bench.commands.options import (
+    add_data,
+    add_output,
+    add_placement,
+    check_count,
+    data_folder,
+    open_journal,
+    placement,
+)
 from adagmm_bench.covariance_trial import run_covariance_trial
 from adagmm_bench.models import find_models
 from adagmm_bench.report import command_line, machine_note, markdown_table, print_table, write_json
@@ -19,6 +26,7 @@ from adagmm_bench.simulation import REPETITIONS, SWEEPS, trial_ids
 from adagmm_bench.summary import found_in_simulation
 from adagmm_bench.trial import SimulatedProblem, TrialJob
 from adagmm_fusion.files.atomic_file import write_text
+from adagmm_fusion.processes.terminal import printable, say
 from adagmm_o3d.errors import InputError
 
 METHOD, START = "adagmm", "centroids"
@@ -36,8 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     for name in ("trials", "seeds"):
-        if getattr(arguments, name) < 1:
-            raise InputError(f"{name}: expected 1 or more, got {getattr(arguments, name)}")
+        check_count(name, getattr(arguments, name))
     folder = data_folder(arguments)
     groups = {
         dimension: [
@@ -51,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         scenes = [TrialJob(scene, METHOD, START) for scene in find_scenes(folder)]
     except InputError as error:
-        print(f"left out the Kinect scenes: {error}", file=sys.stderr)
+        say(printable(f"left out the Kinect scenes: {error}"))
     with open_journal(arguments) as journal:
         records = run_jobs([*groups[2], *groups[3], *scenes], journal, placement(arguments), run=run_covariance_trial)
     rows = []
@@ -75,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
     content = {"command": command_line(), "machine": machine_note(), "columns": COLUMNS, "rows": rows}
     write_json(arguments.output / "report.json", content | {"trials": records})
     print_table("how honest the pose covariance is", COLUMNS, rows)
-    print(f"report and every trial: {arguments.output}")
+    print(printable(f"report and every trial: {arguments.output}"))
     return 0
 
 

@@ -9,7 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from adagmm_bench.commands.options import add_output
+from adagmm_bench.commands.options import add_output, check_count, check_reports
 from adagmm_bench.gpu.card import Card, current_card
 from adagmm_bench.gpu.checks import Check, run_checks
 from adagmm_bench.gpu.operations import PAIR_OPERATIONS
@@ -17,7 +17,8 @@ from adagmm_bench.gpu.rates import POINTS, Rate, pair_rates
 from adagmm_bench.gpu.registrations import SIZES, Timing, crossing_point, registration_timings
 from adagmm_bench.report import command_line, machine_note, markdown_table, print_table
 from adagmm_fusion.files.atomic_file import write_text
-from adagmm_o3d.errors import DeviceError, InputError
+from adagmm_fusion.processes.terminal import printable
+from adagmm_o3d.errors import DeviceError
 from adagmm_o3d.kernels.cuda.availability import obstacle, simulated
 from adagmm_o3d.pairs.device import CROSSING_PAIRS
 
@@ -44,10 +45,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    if arguments.repeats < 1:
-        raise InputError(f"repeats: expected 1 or more, got {arguments.repeats}")
+    check_count("repeats", arguments.repeats)
     if (reason := "this is the CUDA simulator" if simulated() else obstacle()) is not None:
         raise DeviceError(f"gpu: there is nothing to measure: {reason}")
+    check_reports(arguments)
     card = current_card()
     print(card)
     seed = secrets.randbelow(2**32) if arguments.seed is None else arguments.seed
@@ -62,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
     if failed or not clean:
         return 1
     measure(card, arguments.repeats, report, head)
-    print(f"written to {report}")
+    print(printable(f"written to {report}"))
     return 0
 
 
@@ -95,7 +96,7 @@ def sanitize() -> tuple[str, bool]:
     for tool in SANITIZER_TOOLS:
         print(f"compute-sanitizer --tool {tool} …", flush=True)
         command = [program, "--tool", tool, "--error-exitcode", "9", sys.executable, "-m", "adagmm_bench.gpu.checks"]
-        done = subprocess.run(command, capture_output=True, text=True)
+        done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace")
         if done.returncode:
             lines = (done.stdout + done.stderr).strip().splitlines()
             return f"compute-sanitizer {tool} failed: {' / '.join(lines[-5:])}", False

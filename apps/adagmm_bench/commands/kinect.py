@@ -26,6 +26,7 @@ from adagmm_bench.runner import run_jobs
 from adagmm_bench.scenes import KinectScene, find_scenes
 from adagmm_bench.summary import Summary, best_start, summarise
 from adagmm_bench.trial import TrialJob, judge
+from adagmm_fusion.processes.terminal import printable
 
 BASIN_DEG, BASIN_M = 10.0, 0.2
 AUTHORS, PUBLISHED = "authors", "published"
@@ -79,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
     title = "The paper's Kinect scenes"
     write_pair_report(arguments.output, title, body, records, summaries, skipped)
     print_table(f"{title}, {len(scenes)} of them", columns, rows)
-    print(f"report, figure and every trial: {arguments.output}")
+    print(printable(f"report, figure and every trial: {arguments.output}"))
     return 0
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 
 from adagmm_bench.methods import METHODS
+from adagmm_bench.methods.registry import UNUSABLE
+from adagmm_fusion.processes.terminal import printable
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,4 +19,6 @@ def run(arguments: argparse.Namespace) -> int:
         state = entry.version() if (missing := entry.missing()) is None else f"cannot run: {missing}"
         named = "" if entry.default else ", only where named"
         print(f"{entry.name} [{where}{named}] {state}\n    {entry.settings()}")
+    for reason in UNUSABLE.values():
+        print(printable(reason))
     return 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 from adagmm_bench.journal import Journal
@@ -11,8 +10,11 @@ from adagmm_bench.methods import Method, choose_methods
 from adagmm_bench.models import default_data_folder
 from adagmm_bench.problem import PREPARATIONS
 from adagmm_bench.runner import Placement
+from adagmm_fusion.files.atomic_file import check_output_file
+from adagmm_fusion.processes.terminal import printable, say
 from adagmm_o3d.errors import InputError
 
+MAX_COUNT = 100_000  # of trials, seeds or repeats: all jobs are listed before the first runs
 DEFAULT_STARTS = tuple(PREPARATIONS)
 
 
@@ -58,6 +60,12 @@ def data_folder(arguments: argparse.Namespace) -> Path | None:
     return arguments.data.resolve()
 
 
+def check_count(name: str, value: int, most: int = MAX_COUNT) -> None:
+    """Raise InputError unless an option's number is from 1 to `most`."""
+    if not 1 <= value <= most:
+        raise InputError(f"{name}: expected {'1 or more' if value < 1 else f'at most {most}'}, got {value}")
+
+
 def placement(arguments: argparse.Namespace) -> Placement:
     return Placement(arguments.workers, arguments.scheduler)
 
@@ -66,7 +74,7 @@ def chosen_methods(arguments: argparse.Namespace, dimension: int) -> tuple[list[
     """Methods to run, and why others are left out, which is printed too."""
     chosen, skipped = choose_methods(arguments.methods, dimension)
     for line in skipped:
-        print(f"left out {line}", file=sys.stderr)
+        say(printable(f"left out {line}"))
     if not chosen:
         raise InputError("methods: none is left to run")
     return chosen, skipped
@@ -87,6 +95,13 @@ def starts_of(method: Method, starts: tuple[str, ...]) -> tuple[str, ...]:
     return starts
 
 
+def check_reports(arguments: argparse.Namespace) -> None:
+    """Before the work: raise OutputError if the reports under --output cannot be written."""
+    for name in ("report.md", "report.json"):
+        check_output_file(arguments.output / name)
+
+
 def open_journal(arguments: argparse.Namespace) -> Journal:
     """The results under --output. Raises OutputError if they cannot be written, or another run holds them."""
+    check_reports(arguments)
     return Journal(arguments.output / "results.jsonl", fresh=arguments.fresh)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 
 from adagmm_bench.commands.options import (
     add_data,
     add_output,
     add_placement,
+    check_count,
     data_folder,
     open_journal,
     placement,
@@ -24,6 +24,7 @@ from adagmm_bench.report import command_line, machine_note, markdown_table, prin
 from adagmm_bench.runner import run_jobs
 from adagmm_bench.trial import TrialJob
 from adagmm_fusion.files.atomic_file import write_text
+from adagmm_fusion.processes.terminal import printable, say
 from adagmm_o3d.errors import InputError
 
 START = "as-given"
@@ -57,12 +58,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     pairs, skipped = find_pairs(arguments)
     if arguments.list:
-        print("\n".join(pair.key for members in pairs.values() for pair in members))
+        print("\n".join(printable(pair.key) for members in pairs.values() for pair in members))
         return 0
     methods, without = choose_pair_methods(arguments.methods)
     skipped += without
     for line in skipped:
-        print(f"left out {line}", file=sys.stderr)
+        say(printable(f"left out {line}"))
     # Pair by pair, so that a worker makes its clouds once.
     jobs = [
         TrialJob(pair, method, START)
@@ -88,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
             for group, members in by_group(own).items()
         }
     for note in notes:
-        print(note)
+        print(printable(note))
     text += "".join(f"{note}\n\n" for note in notes)
     if skipped:
         text += "## Left out\n\n" + "".join(f"- {line}\n" for line in skipped) + "\n"
@@ -99,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
     write_text(arguments.output / "report.md", text)
     head = {"command": command_line(), "machine": machine_note(), "left_out": skipped, "notes": notes}
     write_json(arguments.output / "report.json", head | {"sections": summaries, "trials": records})
-    print(f"report and every trial: {arguments.output}")
+    print(printable(f"report and every trial: {arguments.output}"))
     return 0
 
 
@@ -114,11 +115,12 @@ def find_pairs(arguments: argparse.Namespace) -> tuple[dict[str, Sequence[PairSo
         raise InputError(f"only: unknown {', '.join(unknown)}; known are {', '.join(SECTIONS)}")
     if not arguments.only:
         raise InputError(f"only: expected at least one of {', '.join(SECTIONS)}")
-    for name, least in (("trials", 1), ("seed", 0)):
-        if getattr(arguments, name) < least:
-            raise InputError(f"{name}: expected {least} or more, got {getattr(arguments, name)}")
+    check_count("trials", arguments.trials)
+    if arguments.seed < 0:
+        raise InputError(f"seed: expected 0 or more, got {arguments.seed}")
     folder = data_folder(arguments)
-    pairs, skipped = {}, []
+    pairs: dict[str, Sequence[PairSource]] = {}
+    skipped: list[str] = []
     for name in dict.fromkeys(arguments.only):
         try:
             pairs[name], unusable = SECTIONS[name].find(folder, trials=arguments.trials, seed=arguments.seed)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Mapping
 
@@ -22,7 +21,6 @@ from adagmm_bench.commands.options import (
     starts_of,
 )
 from adagmm_bench.methods import METHODS
-from adagmm_bench.methods.registry import source_digest
 from adagmm_bench.pair_report import pair_table, write_pair_report
 from adagmm_bench.report import markdown_table, print_table
 from adagmm_bench.runner import run_jobs
@@ -31,6 +29,8 @@ from adagmm_bench.summary import summarise
 from adagmm_bench.trial import TrialJob, judge, run_trial
 from adagmm_fusion.pairs.pipeline import register_pair
 from adagmm_fusion.pairs.settings import Settings
+from adagmm_fusion.processes.terminal import printable, say
+from adagmm_fusion.source_digest import source_digest
 
 END_TO_END = "adagmm-fusion"
 METHODS_BESIDE = ("adagmm", "open3d-point-to-plane", "open3d-gicp", "open3d-gicp-covariances", "small-gicp")
@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     pairs, unusable = find_frame_pairs(data_folder(arguments))
     for line in unusable:
-        print(f"left out {line}", file=sys.stderr)
+        say(printable(f"left out {line}"))
     methods, skipped = chosen_methods(arguments, 3)
     starts = chosen_starts(arguments)
     jobs = [TrialJob(pair, END_TO_END, "as-given") for pair in pairs]
@@ -82,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
         body += "Recordings left out:\n\n" + "".join(f"- {line}\n" for line in unusable)
     title = "RGB-D recordings with ground truth"
     write_pair_report(arguments.output, title, body, records, summarise(records, found), skipped)
-    print(f"report and every trial: {arguments.output}")
+    print(printable(f"report and every trial: {arguments.output}"))
     return 0
 
 

@@ -16,7 +16,8 @@ from adagmm_bench.problem import PREPARATIONS, Problem, prepare
 from adagmm_bench.replay_log import log_replay, replay_blueprint
 from adagmm_bench.simulation import SWEEPS, TrialId
 from adagmm_bench.trial import SimulatedProblem, TrialJob, run_trial
-from adagmm_fusion.rerun_log import add_rerun_arguments, open_stream
+from adagmm_fusion.rerun_arguments import add_rerun_arguments
+from adagmm_fusion.rerun_log import check_destination, open_stream
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.evaluation import rotation_error_deg
 
@@ -36,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    check_destination(arguments)
     if arguments.method not in METHODS:
         raise InputError(f"method: unknown {arguments.method!r}; known are {', '.join(METHODS)}")
     if (missing := METHODS[arguments.method].missing()) is not None:

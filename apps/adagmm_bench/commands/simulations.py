@@ -9,6 +9,7 @@ from adagmm_bench.commands.options import (
     add_methods,
     add_output,
     add_placement,
+    check_count,
     chosen_methods,
     chosen_starts,
     data_folder,
@@ -34,7 +35,7 @@ from adagmm_bench.simulation import REPETITIONS, SWEEPS, trial_ids
 from adagmm_bench.summary import FOUND_ROTATION_ERROR, Summary, best_start, by_setting, summarise
 from adagmm_bench.trial import SimulatedProblem, TrialJob
 from adagmm_fusion.files.atomic_file import write_text
-from adagmm_o3d.errors import InputError
+from adagmm_fusion.processes.terminal import printable
 
 FIGURES = {
     2: {"rotation": 6, "noise": 7, "outliers": 8, "occlusion": 9},
@@ -71,8 +72,7 @@ def words_of_sweeps(text: str) -> tuple[str, ...]:
 
 
 def run(arguments: argparse.Namespace, dimension: int) -> int:
-    if arguments.trials < 1:
-        raise InputError(f"trials: expected 1 or more, got {arguments.trials}")
+    check_count("trials", arguments.trials)
     methods, skipped = chosen_methods(arguments, dimension)
     starts = chosen_starts(arguments)
     models_path = find_models(dimension, data_folder(arguments))
@@ -141,7 +141,7 @@ def write_report(
         },
     )
     print_table(f"{dimension}D, {trials} trials a row, {models}", columns, rows)
-    print(f"report, figures and every trial: {arguments.output}")
+    print(printable(f"report, figures and every trial: {arguments.output}"))
 
 
 def overall_table(

@@ -9,15 +9,17 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from adagmm_bench.commands.options import add_data, add_output, data_folder, words
+from adagmm_bench.commands.options import add_data, add_output, check_count, check_reports, data_folder, words
 from adagmm_bench.report import command_line, machine_note, markdown_table, print_table, write_json
 from adagmm_bench.speed.kernel import kernel
 from adagmm_bench.speed.large import frames, scaling
 from adagmm_bench.speed.measurement import Measurement
 from adagmm_bench.speed.registrations import kinect, simulations
 from adagmm_bench.speed.startup import startup
-from adagmm_fusion.files.atomic_file import write_text
+from adagmm_fusion.files.atomic_file import check_output_file, write_text
+from adagmm_fusion.files.input_file import read_input_text
 from adagmm_fusion.processes.task_pool import TaskFailure, run_tasks
+from adagmm_fusion.processes.terminal import printable
 from adagmm_o3d.errors import AdaGMMError, InputError
 
 RECORDED = Path(__file__).resolve().parents[1] / "recorded_ratios.json"
@@ -50,8 +52,10 @@ def run(arguments: argparse.Namespace) -> int:
     sections = SECTIONS if arguments.sections == ("all",) else arguments.sections
     if unknown := [section for section in sections if section not in SECTIONS]:
         raise InputError(f"sections: unknown {', '.join(unknown)}; known are {', '.join(SECTIONS)}, all")
-    if arguments.repeats < 1:
-        raise InputError(f"repeats: expected 1 or more, got {arguments.repeats}")
+    check_count("repeats", arguments.repeats)
+    check_reports(arguments)
+    if arguments.record:
+        check_output_file(arguments.recorded)
     recorded = {} if arguments.record else read_recorded(arguments.recorded)
     measurements: list[Measurement] = []
     for section in sections:
@@ -66,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
     write_report(arguments.output, measurements, recorded, regressions)
     if arguments.record:
         record(arguments.recorded, measurements)
-        print(f"recorded in {arguments.recorded}")
+        print(printable(f"recorded in {arguments.recorded}"))
     for line in regressions:
         print(f"regression: {line}", file=sys.stderr)
     return 1 if regressions else 0
@@ -95,9 +99,9 @@ def read_recorded(path: Path) -> dict[str, float]:
     InputError  if the file is not there or is not what `record` writes.
     """
     try:
-        ratios = json.loads(path.read_text())["ratios"]
+        ratios = json.loads(read_input_text(path, InputError))["ratios"]
         return {str(key): float(value) for key, value in ratios.items()}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{path}: expected recorded ratios, as --record writes them, got {error!r}") from error
 
 
@@ -149,4 +153,4 @@ def write_report(
         },
     )
     print_table("speed, one thread", columns, rows)
-    print(f"report: {folder}")
+    print(printable(f"report: {folder}"))

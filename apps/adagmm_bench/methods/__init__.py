@@ -1,4 +1,6 @@
-"""Every method the bench compares. A new one is a function under `@method` in a module imported here."""
+"""Every method the bench compares. A new one is a function under `@method` in a module imported here, or in one that an
+entry point of another package names, of the group `adagmm_bench.methods`.
+"""
 
 from adagmm_bench.methods import (  # noqa: F401  importing registers
     dense_clouds,
@@ -11,6 +13,8 @@ from adagmm_bench.methods import (  # noqa: F401  importing registers
     small_gicp_methods,
     teaser_methods,
 )
-from adagmm_bench.methods.registry import METHODS, Method, choose_methods, method
+from adagmm_bench.methods.registry import METHODS, Method, choose_methods, method, register_others
+
+register_others()
 
 __all__ = ["METHODS", "Method", "choose_methods", "method"]

@@ -12,18 +12,20 @@ its start.
 
 from __future__ import annotations
 
-import hashlib
 import importlib
 import importlib.metadata
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
 from adagmm_bench.problem import Cloud
+from adagmm_fusion.source_digest import source_digest
+from adagmm_o3d.entry_points import entry_points, load
 from adagmm_o3d.errors import InputError
+
+GROUP = "adagmm_bench.methods"
 
 Function = Callable[[Cloud, Cloud], np.ndarray]
 
@@ -52,13 +54,42 @@ class Method:
         return _import_failure(self.library)
 
     def version(self) -> str:
-        """The library and its version; ours with a digest of its source and of what is replaced in it here, so that old
-        results of changed code are not reused.
+        """The library and its version, with a digest of the source that a result comes from: ours, and what is done
+        here before and after; so old results of changed code are not reused.
         """
         return _version(self.library)
 
 
+# Where the problem, the call and the judgement of a trial are written.
+TRIAL_SOURCES = (
+    "adagmm_bench.methods",
+    "adagmm_bench.archives",
+    "adagmm_bench.covariance_trial",
+    "adagmm_bench.extra_pairs",
+    "adagmm_bench.models",
+    "adagmm_bench.pairs",
+    "adagmm_bench.problem",
+    "adagmm_bench.scenes",
+    "adagmm_bench.simulation",
+    "adagmm_bench.speed",
+    "adagmm_bench.trial",
+    "adagmm_fusion.clouds",
+    "adagmm_fusion.frames",
+    "adagmm_o3d.evaluation",
+)
+
 METHODS: dict[str, Method] = {}
+# Other packages' modules of methods that cannot be used, with the reason.
+UNUSABLE: dict[str, str] = {}
+
+
+def register_others() -> None:
+    """Import the modules that other packages' entry points name, which enters their methods."""
+    for name, entry in entry_points(GROUP).items():
+        try:
+            load(entry)
+        except InputError as error:
+            UNUSABLE[name] = str(error)
 
 
 def method(
@@ -90,7 +121,7 @@ def choose_methods(names: Sequence[str] | None, dimension: int) -> tuple[list[Me
     """
     if names is not None and (unknown := [name for name in names if name not in METHODS]):
         raise InputError(f"methods: unknown {', '.join(unknown)}; known are {', '.join(METHODS)}")
-    chosen, skipped = [], []
+    chosen, skipped = [], list(UNUSABLE.values()) if names is None else []
     for entry in METHODS.values():
         if (names is None and not entry.default) or (names is not None and entry.name not in names):
             continue
@@ -117,20 +148,11 @@ def _import_failure(library: str) -> str | None:
 @cache
 def _version(library: str) -> str:
     if library == "adagmm_o3d":
-        digest = source_digest(library, "adagmm_bench.methods")
+        digest = source_digest(library, *TRIAL_SOURCES, distributions=("numba", "numpy", "open3d"))
         return f"adagmm-o3d {importlib.metadata.version('adagmm-o3d')} ({digest})"
+    digest = source_digest(*TRIAL_SOURCES, distributions=("numpy", "open3d"))
     distributions = importlib.metadata.packages_distributions().get(library, [library])
     try:
-        return f"{library} {importlib.metadata.version(distributions[0])}"
+        return f"{library} {importlib.metadata.version(distributions[0])} ({digest})"
     except importlib.metadata.PackageNotFoundError:
-        return library
-
-
-def source_digest(*packages: str) -> str:
-    """Twelve digits that change with any Python file of the packages."""
-    digest = hashlib.sha256()
-    for package in packages:
-        folder = Path(importlib.import_module(package).__file__).parent
-        for path in sorted(folder.rglob("*.py")):
-            digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
-    return digest.hexdigest()[:12]
+        return f"{library} ({digest})"

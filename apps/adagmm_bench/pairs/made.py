@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from adagmm_bench.models import find_models
+from adagmm_bench.models import find_models, models_digest
 from adagmm_bench.pairs.motions import moved, rigid, turn
 from adagmm_bench.pairs.overlap import NEAR_SHIFT, NOISE, find_rooms, near_motion, whole_models
 from adagmm_bench.pairs.problem import PairClouds, PairSource, plain_pair
@@ -39,6 +39,11 @@ class MadePair:
     def key(self) -> str:
         return f"{self.case} #{self.trial} seed {self.seed}"
 
+    def content(self) -> str:
+        if self.case == DIFFERENT_ROOMS:
+            return " ".join(room.content() for room in _two_rooms(_generator(self), self.trial, self.data_folder))
+        return models_digest(find_models(3, self.data_folder)) if CASES[self.case] in OF_MODELS else "made points"
+
     def facts(self) -> dict:
         seen = self.case == DIFFERENT_ROOMS and self.trial % 2 == 0
         return {"section": TRUST, "group": self.case, "pair": f"#{self.trial}", "viewpoints": seen}
@@ -50,8 +55,11 @@ class MadePair:
 @lru_cache(maxsize=1)
 def _make(pair: MadePair) -> PairClouds:
     """Made once for the methods that follow each other on it."""
-    rng = np.random.default_rng([pair.seed, list(CASES).index(pair.case), pair.trial])
-    return CASES[pair.case](rng, pair.trial, pair.data_folder)
+    return CASES[pair.case](_generator(pair), pair.trial, pair.data_folder)
+
+
+def _generator(pair: MadePair) -> np.random.Generator:
+    return np.random.default_rng([pair.seed, list(CASES).index(pair.case), pair.trial])
 
 
 def halves(rng: np.random.Generator, trial: int, data_folder: Path | None) -> PairClouds:
@@ -75,9 +83,7 @@ def other_scale(rng: np.random.Generator, trial: int, data_folder: Path | None) 
 
 def different_rooms(rng: np.random.Generator, trial: int, data_folder: Path | None) -> PairClouds:
     """By turns clouds of frames of two recordings, and fragments of two rooms."""
-    pools = room_pools(data_folder)[trial % 2]
-    one, other = rng.choice(list(pools), 2, replace=False)
-    first, second = (pools[name][rng.integers(len(pools[name]))] for name in (one, other))
+    first, second = _two_rooms(rng, trial, data_folder)
     source, target = first.load(), second.load()
     return replace(
         source,
@@ -88,6 +94,13 @@ def different_rooms(rng: np.random.Generator, trial: int, data_folder: Path | No
         T_target_source=None,
         related=False,
     )
+
+
+def _two_rooms(rng: np.random.Generator, trial: int, data_folder: Path | None) -> tuple[PairSource, PairSource]:
+    pools = room_pools(data_folder)[trial % 2]
+    one, other = rng.choice(list(pools), 2, replace=False)
+    first, second = (pools[name][rng.integers(len(pools[name]))] for name in (one, other))
+    return first, second
 
 
 def room_pools(data_folder: Path | None) -> tuple[dict[str, list[PairSource]], dict[str, list[PairSource]]]:
@@ -131,6 +144,7 @@ CASES: dict[str, Callable[[np.random.Generator, int, Path | None], PairClouds]] 
     "copies of few points": copies_of_few_points,
     "half a turn off": flipped,
 }
+OF_MODELS = (halves, unrelated_models, other_scale)
 
 
 def _model(rng: np.random.Generator, data_folder: Path | None) -> np.ndarray:

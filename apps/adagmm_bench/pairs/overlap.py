@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from adagmm_bench.models import find_models, load_models
+from adagmm_bench.models import find_models, load_models, models_digest
 from adagmm_bench.pairs.motions import about, moved, rigid, turn
 from adagmm_bench.pairs.problem import FOUND_DEG, PairClouds, cloud_of_points, plain_pair, rms_radius
 from adagmm_bench.pairs.public import PublicPair, find_public_pairs
@@ -46,6 +46,11 @@ class OverlapPair:
         models = self.models_path.name if self.models_path else "made shapes"
         origin = models if self.kind == MODELS else f"a grid of {ROOM_GRID:g} m"
         return f"{self.kind} share {self.share:g} {self.start} #{self.trial} seed {self.seed} on {origin}"
+
+    def content(self) -> str:
+        if self.kind == MODELS:
+            return models_digest(self.models_path)
+        return " ".join(PublicPair(path).content() for path in self.rooms)
 
     def facts(self) -> dict:
         return {

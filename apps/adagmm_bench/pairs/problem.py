@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import open3d as o3d
 
 from adagmm_bench.problem import Cloud
+from adagmm_bench.trial import TrialSource
 
 FOUND_DEG = 5.0
 
@@ -54,19 +55,13 @@ class PairClouds:
         return Cloud(points, covariances, None if viewpoint is None else viewpoint / self.unit)
 
 
-class PairSource(Protocol):
-    """Where a pair comes from, small enough to be sent to a worker, which loads or makes it there."""
-
-    @property
-    def key(self) -> str: ...
+class PairSource(TrialSource, Protocol):
+    """Where a pair comes from. Its facts are `section` and `group` of the tables, and the `pair`."""
 
     def load(self) -> PairClouds: ...
 
-    def facts(self) -> dict:
-        """`section` and `group` of the tables, and the `pair`."""
 
-
-def plain_pair(source: np.ndarray, target: np.ndarray, T: np.ndarray | None, **more) -> PairClouds:
+def plain_pair(source: np.ndarray, target: np.ndarray, T: np.ndarray | None, **more: Any) -> PairClouds:
     """Points (M, 3) and (N, 3), the same for everybody, whose unit is a radius if nothing else is said."""
     clouds = cloud_of_points(source), cloud_of_points(target)
     unit = max(rms_radius(source), rms_radius(target))

@@ -10,6 +10,7 @@ import numpy as np
 
 from adagmm_bench.archives import numbers, read_archive
 from adagmm_bench.pairs.problem import PairClouds, plain_pair
+from adagmm_fusion.files.input_file import input_digest
 from adagmm_o3d.errors import InputError
 
 CLOUDS = "clouds"
@@ -26,6 +27,9 @@ class PublicPair:
     @property
     def key(self) -> str:
         return f"cloud pair {self.path.stem}"
+
+    def content(self) -> str:
+        return input_digest(self.path, InputError)
 
     def facts(self) -> dict:
         return {"section": CLOUDS, "group": CLOUDS, "pair": self.path.stem}

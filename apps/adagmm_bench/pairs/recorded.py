@@ -11,6 +11,7 @@ import numpy as np
 from adagmm_bench.pairs.problem import FOUND_DEG, PairClouds
 from adagmm_bench.scenes import find_frame_pairs
 from adagmm_fusion.clouds.building import clouds_from_pair, dense_cloud
+from adagmm_fusion.recordings.digests import pair_digest
 from adagmm_fusion.recordings.opening import open_recording
 
 RECORDINGS = "recordings"
@@ -31,11 +32,20 @@ class RecordedPair:
     def key(self) -> str:
         return f"{self.recording.name} {self.name}"
 
+    def content(self) -> str:
+        return _content(self)
+
     def facts(self) -> dict:
         return {"section": RECORDINGS, "group": self.recording.name, "pair": self.name, "viewpoints": True}
 
     def load(self) -> PairClouds:
         return _load(self)
+
+
+@cache
+def _content(recorded: RecordedPair) -> str:
+    """Asked for once for each start of the pair, too."""
+    return pair_digest(open_recording(recorded.recording)[recorded.index])
 
 
 @lru_cache(maxsize=1)

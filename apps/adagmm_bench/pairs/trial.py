@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 from functools import cache
+from typing import Any
 
 import numpy as np
 
 from adagmm_bench.methods import METHODS
 from adagmm_bench.methods.ours import register_clouds
-from adagmm_bench.pairs.problem import PairClouds, plain_pair
+from adagmm_bench.pairs.problem import PairClouds, PairSource, plain_pair
 from adagmm_bench.speed.large import surface_pair
 from adagmm_bench.trial import TrialJob, orthonormal, seed_generators
 from adagmm_o3d.errors import InputError
@@ -19,7 +20,7 @@ from adagmm_o3d.evaluation import overlap_ratio, rotation_error_deg
 OVERLAP_GRID, OVERLAP_DISTANCE = 0.04, 0.06
 
 
-def run_pair_trial(job: TrialJob) -> dict:
+def run_pair_trial(job: TrialJob[PairSource]) -> dict:
     """Register a pair and judge. A method that raises is a record too, with the identity for a pose.
 
     The errors are a rotation in degrees and the displacement of the pair's centre in units; None without a truth. Ours
@@ -32,7 +33,8 @@ def run_pair_trial(job: TrialJob) -> dict:
     _warm_up(job.method)
     seed_generators()
     started, started_cpu = time.perf_counter(), time.process_time()
-    status, reason, said = "ok", "", {}
+    status, reason = "ok", ""
+    said: dict[str, Any] = {}
     try:
         T, said = register_pair(job.method, clouds)
     except Exception as error:  # a peer may raise anything, and that is its result

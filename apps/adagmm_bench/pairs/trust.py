@@ -33,6 +33,9 @@ class KinectPair:
     def key(self) -> str:
         return f"kinect {self.scene.key}"
 
+    def content(self) -> str:
+        return self.scene.content()
+
     def facts(self) -> dict:
         return {"section": TRUST, "group": "Kinect scenes", "pair": self.scene.key}
 
@@ -69,6 +72,9 @@ class Restarted:
     @property
     def key(self) -> str:
         return f"{self.pair.key}, {self.how} seed {self.seed}"
+
+    def content(self) -> str:
+        return self.pair.content()
 
     def facts(self) -> dict:
         facts = self.pair.facts()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import resource
+import os
 import sys
 
 import numpy as np
@@ -11,6 +11,7 @@ from adagmm_bench.methods import METHODS
 from adagmm_bench.problem import Cloud, Prepared, Problem, prepare
 from adagmm_bench.simulation import rotation_matrix
 from adagmm_bench.speed.measurement import Measurement, cpu_seconds
+from adagmm_o3d.errors import InputError
 
 FRAME_POINTS = 300_000
 SIZES = (1_000, 3_000, 10_000, 30_000, 100_000, 300_000, 1_000_000)
@@ -76,6 +77,10 @@ def _seconds(name: str, prepared: Prepared) -> float:
 
 
 def _peak_bytes() -> int:
+    try:
+        import resource
+    except ImportError as error:
+        raise InputError("sections: 'frames' needs to know its memory, which this system does not tell") from error
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * BYTES_OF_MAXRSS
 
 
@@ -83,6 +88,6 @@ def _resident_bytes() -> int:
     """What the process holds now; its peak so far where the system does not tell."""
     try:
         with open("/proc/self/statm") as file:
-            return int(file.read().split()[1]) * resource.getpagesize()
+            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     except OSError:
         return _peak_bytes()

@@ -16,7 +16,8 @@ from adagmm_o3d.errors import InputError
 REACH_IN_SQUARES, MIN_REACH_PX, MAX_REACH_PX = 1.0 / 3.0, 2, 11
 # Fewer corners of a ChArUco board say too little about its pose.
 MIN_CORNERS = 8
-BOARD_SIZE = re.compile(r"(\d+)x(\d+)")
+MAX_DIGITS = 5  # of a board's columns or rows, or of an image's
+BOARD_SIZE = re.compile(rf"([0-9]{{1,{MAX_DIGITS}}})x([0-9]{{1,{MAX_DIGITS}}})")
 DICTIONARIES = tuple(
     sorted(n.removeprefix("DICT_") for n in dir(cv2.aruco) if re.fullmatch(r"DICT_[4-7]X[4-7]_\d+", n))
 )
@@ -143,7 +144,7 @@ def parse_board_size(text: str, name: str) -> tuple[int, int]:
     """(columns, rows) of "9x6". Raises InputError."""
     match = BOARD_SIZE.fullmatch(text)
     if not match:
-        raise InputError(f"{name}: expected columns x rows as 9x6, got {text!r}")
+        raise InputError(f"{name}: expected columns x rows as 9x6, got {text[:40]!r}")
     return int(match[1]), int(match[2])
 
 

@@ -7,6 +7,7 @@ from rich.text import Text
 from adagmm_fusion.board_calibration.rig_calibration import Link, RigCalibration
 from adagmm_fusion.board_calibration.sensor import SensorResult
 from adagmm_fusion.board_calibration.views import SensorViews
+from adagmm_fusion.processes.terminal import printable
 from adagmm_o3d.evaluation import pose_errors
 
 
@@ -48,7 +49,7 @@ def _sensor_table(result: RigCalibration) -> Table:
 
 
 def _view_table(result: RigCalibration, views: dict[str, SensorViews]) -> Table:
-    table = Table(title="reprojection error [px]")
+    table = Table(title=Text("reprojection error [px]"))  # not str: rich would take the unit for markup
     table.add_column("view")
     for heading in [*result.sensors, *(f"{link.sensor} with {link.reference}" for link in result.links)]:
         table.add_column(Text(heading), justify="right")
@@ -63,5 +64,5 @@ def _view_table(result: RigCalibration, views: dict[str, SensorViews]) -> Table:
                 cells.append(Text(f"{part.outliers_px[view]:.3f}, outlier, left out", style="red"))
             else:
                 cells.append(Text("no board" if part in result.sensors.values() else "", style="dim"))
-        table.add_row(Text(view), *cells)
+        table.add_row(Text(printable(view)), *cells)
     return table

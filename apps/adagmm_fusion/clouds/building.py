@@ -4,19 +4,19 @@ covariances."""
 import numpy as np
 import open3d as o3d
 
-from adagmm_fusion.frames.depth_geometry import back_project, depth_edges, depth_in_range, grid_normals
+from adagmm_fusion.clouds.sensor_models import NONE, sensor_models
+from adagmm_fusion.frames.depth_geometry import back_project, depth_edges, depth_in_range, depth_noise, grid_normals
 from adagmm_fusion.frames.rgbd import RGBDFrame, RGBDPair
 from adagmm_o3d.errors import InputError
-from adagmm_o3d.uncertainty import (
-    estimate_kinect_covariances,
-    estimate_nguyen_covariances,
-    estimate_surface_covariances,
-)
+from adagmm_o3d.uncertainty.sensor_models import estimate_sensor_covariances
 
-SENSOR_MODELS = ("kinect", "nguyen", "surface", "none")
 # The paper registered clouds of 3000 to 4000 points.
 TARGET_POINTS = 3500
 MIN_DEPTH, MAX_DEPTH = 0.1, 6.0
+# No voxels are finer than this [m], nor than this share of the cloud's extent: their numbers would not fit.
+FINEST_VOXEL, FINEST_SHARE = 1e-4, 1e-6
+# No room has as large a share of its pixels at edges.
+MOSTLY_EDGES = 0.5
 
 
 def cloud_from_frame(
@@ -35,8 +35,7 @@ def cloud_from_frame(
     ----------
     voxel_size : [m]; None takes the size that leaves about `target_points`.
     sensor_model : where covariances come from: "kinect" (Pu et al. Eq. 6, relative), "nguyen" (Nguyen et al. 2012,
-    m^2), "surface"
-        (the points' own neighbourhood), or "none".
+        m^2), "surface" (the points' own neighbourhood), another package's (see `uncertainty.sensor_models`), or "none".
     min_depth, max_depth : [m], along the optical axis; what lies outside is left out.
 
     Returns
@@ -80,7 +79,10 @@ def dense_cloud(
     if not 0 <= min_depth < max_depth:
         raise InputError(f"min_depth, max_depth: expected 0 <= min < max [m], got {min_depth:g} and {max_depth:g}")
     depth = depth_in_range(frame, min_depth, max_depth)
-    depth[depth_edges(depth, frame.intrinsics)] = np.nan
+    edges = depth_edges(depth, frame.intrinsics)
+    if edges.sum() > MOSTLY_EDGES * np.isfinite(depth).sum():  # a noisy sensor: its noise looks like edges
+        edges = depth_edges(depth, frame.intrinsics, depth_noise(depth))
+    depth[edges] = np.nan
     normals = grid_normals(depth, frame.intrinsics)
     kept = np.isfinite(normals[..., 0])
     if not kept.any():
@@ -102,13 +104,14 @@ def find_voxel_size(clouds: list[o3d.geometry.PointCloud], target_points: int) -
     if target_points < 1:
         raise InputError(f"target_points: expected a positive number, got {target_points}")
     points = [np.asarray(cloud.points) for cloud in clouds]
-    size = max(np.ptp(p, axis=0).max() for p in points) / np.sqrt(target_points)
-    size = max(size, 1e-3)
+    extent = max(np.ptp(p, axis=0).max() for p in points)
+    size = max(extent / np.sqrt(target_points), 1e-3)
     for _ in range(8):
         count = np.mean([_occupied_voxels(p, size) for p in points])
         if abs(count / target_points - 1) < 0.02:
             break
-        size *= np.sqrt(count / target_points)  # a surface fills voxels by its area
+        # A surface fills voxels by its area. Where there are fewer points, no grid is fine enough.
+        size = max(size * np.sqrt(count / target_points), FINEST_VOXEL, extent * FINEST_SHARE)
     return float(size)
 
 
@@ -127,15 +130,11 @@ def _sparse_cloud(
     cloud = dense.voxel_down_sample(voxel_size)
     cloud.normalize_normals()
     points, normals = np.asarray(cloud.points), np.asarray(cloud.normals)
-    if sensor_model == "kinect":
-        covariances = estimate_kinect_covariances(points, normals)
-    elif sensor_model == "nguyen":
-        covariances = estimate_nguyen_covariances(points, normals, (frame.intrinsics.fx, frame.intrinsics.fy))
-    elif sensor_model == "surface":
-        covariances = estimate_surface_covariances(points, normals)
-    elif sensor_model == "none":
+    if sensor_model not in sensor_models():
+        raise InputError(f"sensor_model: expected one of {', '.join(sensor_models())}, got {sensor_model!r}")
+    if sensor_model == NONE:
         return cloud
-    else:
-        raise InputError(f"sensor_model: expected one of {', '.join(SENSOR_MODELS)}, got {sensor_model!r}")
+    focal_lengths = (frame.intrinsics.fx, frame.intrinsics.fy)
+    covariances = estimate_sensor_covariances(sensor_model, points, normals, focal_lengths)
     cloud.covariances = o3d.utility.Matrix3dVector(covariances)
     return cloud

@@ -1,8 +1,9 @@
 """`adagmm-fusion calibrate`: a rig file from images of a board."""
 
 import argparse
-import sys
 from pathlib import Path
+
+from adagmm_fusion.processes.terminal import printable, say
 
 TABLE_WIDTH = 150  # where the output is no terminal
 
@@ -11,7 +12,7 @@ def add(commands: argparse._SubParsersAction) -> None:
     text = (
         "Find intrinsics, distortion and extrinsics of a rig from images of a chessboard or ChArUco board that its "
         "sensors saw at the same moments. IMAGES has a folder SENSOR/color for each sensor, and SENSOR/depth to check "
-        "its depth unit; see calibration/README.md."
+        "its depth unit."
     )
     command = commands.add_parser("calibrate", help="make a rig file from images of a board", description=text)
     command.add_argument("images", metavar="IMAGES", help="the folder of board images")
@@ -53,6 +54,7 @@ def run(args: argparse.Namespace) -> int:
     from adagmm_fusion.board_calibration.rig_calibration import calibrate_rig
     from adagmm_fusion.board_calibration.views import find_boards
     from adagmm_fusion.commands.progress import progress_bar
+    from adagmm_fusion.files.atomic_file import check_output_file
     from adagmm_fusion.rigs.rig import save_rig
     from adagmm_o3d.errors import InputError
 
@@ -67,12 +69,13 @@ def run(args: argparse.Namespace) -> int:
         board = Chessboard(*parse_board_size(args.chessboard, "--chessboard"), args.square)
     folder = Path(args.images)
     name = folder.resolve().name
+    output = Path(args.output) if args.output else Path("calibration") / f"{name}.yaml"
+    check_output_file(output)
     with progress_bar(f"boards in {name}") as report:
         views = find_boards(folder, board, on_image=report)
     result = calibrate_rig(
         views, board, name=name, folder=folder, coefficients=args.distortion, depth_scale=args.depth_scale
     )
-    output = Path(args.output) if args.output else Path("calibration") / f"{name}.yaml"
     save_rig(output, result.rig)
     console = Console(highlight=False, soft_wrap=True)
     if not console.is_terminal:
@@ -80,6 +83,6 @@ def run(args: argparse.Namespace) -> int:
     for table in calibration_tables(result, views):
         console.print(table)
     for warning in result.warnings:
-        print(f"adagmm-fusion: {warning}", file=sys.stderr)
-    print(f"rig: {output}")
+        say(f"adagmm-fusion: {printable(warning)}")
+    print(printable(f"rig: {output}"))
     return 0

@@ -3,6 +3,7 @@
 import argparse
 
 from adagmm_fusion.commands.recording_arguments import add_recording_arguments, recording_of
+from adagmm_fusion.processes.terminal import printable
 
 
 def add(commands: argparse._SubParsersAction) -> None:
@@ -27,5 +28,6 @@ def run(args: argparse.Namespace) -> int:
     recording = recording_of(args)
     with progress_bar(recording.name) as report:
         manifest = convert_recording(recording, args.output, on_frame=report)
-    print(f"{manifest}: {len(recording.entries)} frame(s) of {', '.join(recording.sensors)}, {len(recording)} pair(s)")
+    frames = f"{len(recording.entries)} frame(s) of {', '.join(recording.sensors)}"
+    print(printable(f"{manifest}: {frames}, {len(recording)} pair(s)"))
     return 0

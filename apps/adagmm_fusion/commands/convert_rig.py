@@ -1,26 +1,34 @@
-"""`adagmm-fusion convert-rig`: calibrations of ROS and OpenCV as a rig file."""
+"""`adagmm-fusion convert-rig`: calibrations of other programs as a rig file."""
 
 import argparse
 from pathlib import Path
+from typing import Any
+
+from adagmm_fusion.processes.terminal import printable
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 
 def add(commands: argparse._SubParsersAction) -> None:
     text = (
-        "Make a rig file of calibrations that ROS (camera_info YAML) or OpenCV (FileStorage) wrote. The first sensor "
-        "is the rig's frame. Where the others are comes from --stereo, or from the rectification that ROS files hold; "
-        "else it is unknown."
+        "Make a rig file of calibrations that ROS (camera_info YAML) or OpenCV (FileStorage) wrote, or of one file of "
+        "all cameras: Kalibr's camchain, Open3D's camera trajectory, COLMAP's text model, a MATLAB stereo calibration, "
+        "or a ROS bag. The first sensor is the rig's frame. Where the others are comes from --stereo, or from the "
+        "rectification that ROS files hold; else it is unknown."
     )
-    command = commands.add_parser("convert-rig", help="make a rig file of ROS or OpenCV calibrations", description=text)
-    command.add_argument("sensors", nargs="+", metavar="SENSOR=FILE", help="a sensor's name and its calibration")
+    command = commands.add_parser(
+        "convert-rig", help="make a rig file of other programs' calibrations", description=text
+    )
+    command.add_argument(
+        "sensors", nargs="+", metavar="SENSOR=FILE", help="a sensor's name and its calibration; or one file"
+    )
     command.add_argument("--output", required=True, metavar="RIG", help="the rig file to write")
     command.add_argument("--stereo", metavar="FILE", help="an OpenCV file with R, T of two sensors: x2 = R x1 + T")
     command.add_argument(
         "--length-unit",
-        choices=METRES_PER_UNIT,
+        choices=tuple(METRES_PER_UNIT),
         default="m",
-        help="of T in --stereo: the unit that the board's squares were given in (default: %(default)s)",
+        help="of lengths without one: the board's squares, or COLMAP's model (default: %(default)s)",
     )
     command.add_argument("--size", metavar="WxH", help="image size, for OpenCV files without it")
     command.add_argument(
@@ -40,39 +48,55 @@ def run(args: argparse.Namespace) -> int:
     ------
     AdaGMMError  if a calibration cannot be used, or the rig file cannot be written.
     """
+    from adagmm_fusion.board_calibration.boards import parse_board_size
+    from adagmm_fusion.rigs.rig import Rig, SensorCalibration, save_rig
+    from adagmm_fusion.rigs.rig_files import read_rig_file
+
+    size = parse_board_size(args.size, "--size") if args.size else None
+    metres_per_unit = METRES_PER_UNIT[args.length_unit]
+    if len(args.sensors) == 1 and "=" not in args.sensors[0] and Path(args.sensors[0]).exists():
+        found = read_rig_file(args.sensors[0], metres_per_unit, size)
+    else:
+        found = _one_by_one(args, size, metres_per_unit)
+    output = Path(args.output)
+    sensors = {
+        name: SensorCalibration(name, sensor.intrinsics, args.depth_scale, sensor.T_rig_sensor)
+        for name, sensor in found.items()
+    }
+    save_rig(output, Rig(output.stem, sensors, f"from {', '.join(args.sensors)}"))
+    unknown = [name for name, sensor in found.items() if sensor.T_rig_sensor is None]
+    pose = f"; the pose of {', '.join(unknown)} is unknown" if unknown else ""
+    print(printable(f"{output}: {', '.join(found)}{pose}"))
+    return 0
+
+
+def _one_by_one(args: argparse.Namespace, size: tuple[int, int] | None, metres_per_unit: float) -> dict[str, Any]:
+    """The sensors that SENSOR=FILE name, each a camera's calibration, and where they are, if that is known."""
     import numpy as np
 
-    from adagmm_fusion.board_calibration.boards import parse_board_size
-    from adagmm_fusion.rigs.importing import read_camera, read_stereo_pose
-    from adagmm_fusion.rigs.rig import Rig, SensorCalibration, save_rig
+    from adagmm_fusion.rigs.imported import ImportedSensor
+    from adagmm_fusion.rigs.importing import ImportedCamera, read_camera, read_stereo_pose
+    from adagmm_fusion.rigs.plain_json import read_plain_json
     from adagmm_o3d.errors import InputError
     from adagmm_o3d.lie import se_inverse
 
-    size = parse_board_size(args.size, "--size") if args.size else None
     cameras = {}
     for number, text in enumerate(args.sensors, 1):
         name, equals, path = text.partition("=")
         if not (name and equals and path) or name in cameras:
             raise InputError(f"SENSOR=FILE: expected different names as left=left.yaml, got {text!r}")
-        cameras[name] = read_camera(path, number, size)
+        plain = read_plain_json(Path(path), size)
+        cameras[name] = read_camera(path, number, size) if plain is None else ImportedCamera(plain)
     first, *others = cameras
     poses = dict.fromkeys(cameras) | {first: np.eye(4)}
     if args.stereo:
         if len(others) != 1:
             raise InputError(f"--stereo: expected two sensors, got {len(cameras)}")
-        poses[others[0]] = read_stereo_pose(args.stereo, METRES_PER_UNIT[args.length_unit])
+        poses[others[0]] = read_stereo_pose(args.stereo, metres_per_unit)
     elif all(camera.T_stereo_camera is not None for camera in cameras.values()):
         T_first = se_inverse(cameras[first].T_stereo_camera)
         placed = {name: T_first @ cameras[name].T_stereo_camera for name in others}
         # Cameras calibrated one by one all have their own rectification, with no distance between them.
         if all(np.linalg.norm(T[:3, 3]) > 0 for T in placed.values()):
             poses |= placed
-    output = Path(args.output)
-    sensors = {
-        name: SensorCalibration(name, camera.intrinsics, args.depth_scale, poses[name])
-        for name, camera in cameras.items()
-    }
-    save_rig(output, Rig(output.stem, sensors, f"from {', '.join(args.sensors)}"))
-    unknown = [name for name, pose in poses.items() if pose is None]
-    print(f"{output}: {', '.join(cameras)}" + (f"; the pose of {', '.join(unknown)} is unknown" if unknown else ""))
-    return 0
+    return {name: ImportedSensor(camera.intrinsics, poses[name]) for name, camera in cameras.items()}

@@ -3,17 +3,22 @@
 import argparse
 import contextlib
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from adagmm_fusion.commands.recording_arguments import add_recording_arguments, recording_of
+from adagmm_fusion.processes.terminal import printable
 from adagmm_fusion.recordings.frame_sequence import Recording
 
 MESHES = ("ply", "glb", "obj")
+# The code and the libraries that a registration between two frames comes from.
+REGISTERED_BY = ("adagmm_o3d", *(f"adagmm_fusion.{name}" for name in ("clouds", "frames", "pairs", "sequence")))
+REGISTERED_WITH = ("numba", "numpy", "open3d", "opencv-python-headless", "scipy")
 
 
 def add(commands: argparse._SubParsersAction) -> None:
-    from adagmm_fusion.rerun_log import add_rerun_arguments
+    from adagmm_fusion.rerun_arguments import add_rerun_arguments
 
     text = (
         "Register the frames of a recording with each other, make their poses consistent with loop closures and a pose "
@@ -67,22 +72,29 @@ def run(args: argparse.Namespace) -> int:
     ------
     AdaGMMError  if the recording cannot be used, the poses are not known, or a result cannot be written.
     """
+    from adagmm_fusion.files.atomic_file import check_output_file
     from adagmm_fusion.files.output_folder import exclusive
+    from adagmm_fusion.rerun_log import check_destination
 
+    check_destination(args)
     recording = recording_of(args)
     folder = Path(args.output) if args.output else Path("output") / f"{recording.path.resolve().name}_fused"
     # With --stdout the Rerun recording goes there, and what is said to stderr.
     with contextlib.redirect_stdout(sys.stderr) if args.stdout else contextlib.nullcontext(), exclusive(folder):
+        for path in (folder / f"mesh.{args.mesh}", *(path for _, path in _trajectory_files(recording, folder))):
+            check_output_file(path)
         _fuse(args, recording, folder)
     return 0
 
 
 def _fuse(args: argparse.Namespace, recording: Recording, folder: Path) -> None:
     from adagmm_fusion.commands.progress import staged_progress_bar
+    from adagmm_fusion.meshes.tsdf import check_voxels
     from adagmm_fusion.pairs.settings import Settings
     from adagmm_fusion.sequence.fused_mesh import fuse_frames, save_fused_mesh
     from adagmm_fusion.sequence.scene import scene_of
 
+    check_voxels(args.voxel_size, args.max_memory)
     scene = scene_of(recording, args.moment)
     settings = Settings(max_depth_m=args.max_depth, target_points=args.target_points, device=args.device)
     if args.poses == "truth":
@@ -104,8 +116,9 @@ def _fuse(args: argparse.Namespace, recording: Recording, folder: Path) -> None:
         )
     paths = save_fused_mesh(folder / f"mesh.{args.mesh}", mesh)
     if left_out:
-        print(f"left out, their pose is not known: {len(left_out)} frames ({', '.join(left_out[:5])})")
-    print(f"mesh: {', '.join(map(str, paths))}, {len(placed)} frames, {len(mesh.triangles)} triangles, {note}")
+        print(printable(f"left out, their pose is not known: {len(left_out)} frames ({', '.join(left_out[:5])})"))
+    shown = f"{', '.join(map(str, paths))}, {len(placed)} frames, {len(mesh.triangles)} triangles, {note}"
+    print(printable(f"mesh: {shown}"))
     if args.save or args.connect or args.serve or args.url or args.stdout:
         _show(args, recording, mesh, placed)
 
@@ -136,14 +149,21 @@ def _estimated(recording: Recording, scene: Any, settings: Any, folder: Path) ->
     from adagmm_fusion.sequence.pose_graph import connected_sets, optimized_poses
     from adagmm_fusion.sequence.registration import register_scene
     from adagmm_fusion.sequence.scene import fixed_voxel_size, placed_edges
+    from adagmm_fusion.source_digest import source_digest
 
     entries = recording.entries
     settings = fixed_voxel_size(entries[scene.frames[0]].load(), settings)
-    of = {"recording": str(recording.path.resolve()), "format": recording.format, "settings": asdict(settings)}
-    file = EdgeFile(folder / "registrations.jsonl", of | {"frames": [entries[i].name for i in scene.place_of]})
-    if file.edges:
-        print(f"resumed: {len(file.edges)} registrations are there")
     with staged_progress_bar() as report:
+        of = {
+            "recording": str(recording.path.resolve()),
+            "format": recording.format,
+            "settings": asdict(settings),
+            "program": source_digest(*REGISTERED_BY, distributions=REGISTERED_WITH),
+            "content of the images or calibration": _digests(recording, scene, report),
+        }
+        file = EdgeFile(folder / "registrations.jsonl", of, len(entries))
+        if file.edges:
+            print(f"resumed: {len(file.edges)} registrations are there")
         register_scene(recording, scene, settings, file, report)
     edges = placed_edges(scene, file.edges)
     sets = connected_sets(edges, scene.places)
@@ -155,12 +175,30 @@ def _estimated(recording: Recording, scene: Any, settings: Any, folder: Path) ->
         print(f"frames that hang together: sets of {', '.join(str(len(s)) for s in sets)}; the first is fused")
     if scene.rig:
         print(f"known from the rig: {len(scene.rig)} poses between its sensors")
-    for sensor in recording.sensors:
+    for sensor, path in _trajectory_files(recording, folder):
         of_sensor = {index: pose for index, pose in poses.items() if entries[index].sensor == sensor}
         if scene.paths and of_sensor:
-            name = "trajectory" if len(recording.sensors) == 1 else f"trajectory_{sensor}"
-            _conclude_path(recording, of_sensor, folder / f"{name}.txt")
+            _conclude_path(recording, of_sensor, path)
     return poses
+
+
+def _digests(recording: Recording, scene: Any, report: Callable[[str, int, int], None]) -> list[list[str]]:
+    """What each frame of the scene is: its sensor, its name, and a digest of its images and calibration."""
+    from adagmm_fusion.recordings.digests import entry_digest
+
+    found = []
+    for done, index in enumerate(scene.place_of):
+        report("reading frames", done, len(scene.place_of))
+        entry = recording.entries[index]
+        found.append([entry.sensor, entry.name, entry_digest(entry)])
+    return found
+
+
+def _trajectory_files(recording: Recording, folder: Path) -> list[tuple[str, Path]]:
+    """Each sensor and the file of its trajectory."""
+    if len(recording.sensors) == 1:
+        return [(recording.sensors[0], folder / "trajectory.txt")]
+    return [(sensor, folder / f"trajectory_{sensor}.txt") for sensor in recording.sensors]
 
 
 def _conclude_path(recording: Recording, poses: dict, path: Path) -> None:
@@ -169,7 +207,7 @@ def _conclude_path(recording: Recording, poses: dict, path: Path) -> None:
     from adagmm_fusion.sequence.trajectory_errors import trajectory_errors
 
     save_trajectory(path, recording, poses)
-    print(f"trajectory: {path}")
+    print(printable(f"trajectory: {path}"))
     true, estimated = true_and_estimated(recording, poses)
     if len(true) >= 3:
         e = trajectory_errors(true, estimated)

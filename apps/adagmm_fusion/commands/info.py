@@ -1,9 +1,9 @@
 """`adagmm-fusion info`: what is in a recording."""
 
 import argparse
-import sys
 
 from adagmm_fusion.commands.recording_arguments import add_recording_arguments, recording_of
+from adagmm_fusion.processes.terminal import printable, say
 
 TABLE_WIDTH = 150  # where the output is no terminal
 
@@ -25,6 +25,8 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
 
     from adagmm_fusion.commands.progress import progress_bar
+    from adagmm_fusion.errors import one_line
+    from adagmm_fusion.pairs.plausibility import recording_warnings
     from adagmm_fusion.recordings.summary import summarize_recording, summary_tables
 
     recording = recording_of(args)
@@ -35,6 +37,8 @@ def run(args: argparse.Namespace) -> int:
         console = Console(highlight=False, soft_wrap=True, width=TABLE_WIDTH)
     for table in summary_tables(summary):
         console.print(table)
+    for note in (*recording.notes, *recording_warnings(recording)):
+        print(f"note: {one_line(note)}")
     for problem in summary.problems:
-        print(f"adagmm-fusion: {' '.join(problem.split())}", file=sys.stderr)
+        say(f"adagmm-fusion: {printable(' '.join(problem.split()))}")
     return 1 if summary.problems else 0

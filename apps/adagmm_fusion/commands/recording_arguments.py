@@ -1,15 +1,17 @@
 """The arguments that say which recording, and how to read it."""
 
 import argparse
+from typing import TYPE_CHECKING
 
-from adagmm_fusion.recordings.frame_sequence import Recording
+if TYPE_CHECKING:
+    from adagmm_fusion.recordings.frame_sequence import Recording
 
 
 def add_recording_arguments(command: argparse.ArgumentParser) -> None:
     """RECORDING, --format, --calibration and --step."""
     from adagmm_fusion.formats import FORMATS
 
-    command.add_argument("recording", metavar="RECORDING", help="the recording; see recordings/README.md")
+    command.add_argument("recording", metavar="RECORDING", help="the recording, a folder or video file")
     command.add_argument("--format", choices=sorted(FORMATS), help="the recording's format (default: looked for)")
     command.add_argument("--calibration", metavar="RIG", help="a rig file instead of the recording's own calibration")
     command.add_argument(
@@ -22,7 +24,7 @@ def add_recording_arguments(command: argparse.ArgumentParser) -> None:
     )
 
 
-def recording_of(args: argparse.Namespace) -> Recording:
+def recording_of(args: argparse.Namespace) -> "Recording":
     """Open what the arguments name. Raises RecordingError, RigError or InputError as open_recording does."""
     from adagmm_fusion.recordings.opening import open_recording
 

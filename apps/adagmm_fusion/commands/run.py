@@ -12,21 +12,26 @@ import numpy as np
 from rich.console import Console
 
 from adagmm_fusion.commands.progress import progress
+from adagmm_fusion.errors import one_line
+from adagmm_fusion.files.atomic_file import check_output_file
 from adagmm_fusion.files.output_folder import exclusive
 from adagmm_fusion.frames.rgbd import RGBDPair
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh, save_textured_mesh
 from adagmm_fusion.pairs.fusion import RigEstimate, fused_cloud, fused_mesh, save_cloud
 from adagmm_fusion.pairs.pipeline import PairOutcome, compile_kernels, run_pairs
+from adagmm_fusion.pairs.plausibility import recording_warnings
 from adagmm_fusion.pairs.record import PairRecord, pair_record
 from adagmm_fusion.pairs.report import Report, terminal_table, write_report
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.processes.interruption import exit_code
+from adagmm_fusion.processes.terminal import printable
 from adagmm_fusion.recordings.frame_sequence import Recording
 from adagmm_fusion.recordings.opening import open_recording
 from adagmm_fusion.rerun_log import (
     Eye,
     Limits,
     SummaryRow,
+    check_destination,
     dashboard,
     log_pair,
     log_recording_properties,
@@ -38,11 +43,15 @@ from adagmm_fusion.rerun_log import (
 from adagmm_fusion.rigs.rig import save_rig
 from adagmm_o3d.errors import InputError
 
+MAX_DIGITS = 100  # of a range of pairs
 TABLE_WIDTH = 150  # of the table where the output is no terminal
+# Exit codes. 1 is an error, 2 wrong usage, and 3 and 4 are `verify`'s.
+SOME_FAILED, ALL_FAILED = 5, 6
 
 
 def run(args: argparse.Namespace, settings: Settings) -> int:
-    """Run over args.recording; returns the exit code: 0, or 130 or 143 if it was stopped, with what was finished kept.
+    """Run over args.recording; returns the exit code, see `verdict`, or 130 or 143 if it was stopped, with what was
+    finished kept.
 
     Raises
     ------
@@ -54,12 +63,16 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
     logs_to_file = not (args.no_rerun or args.connect or args.serve or args.url or args.stdout)
     if logs_to_file and args.save is None:
         args.save = str(folder / f"{recording.path.resolve().name}.rrd")
+    check_destination(args)
 
+    notes = (*recording.notes, *recording_warnings(recording))
     results: dict[str, str] = {}
     records: list[PairRecord] = []
     rig_estimate, stopped = RigEstimate(), None
     with contextlib.ExitStack() as stack:
         stack.enter_context(exclusive(folder))
+        for name in ("report.md", "report.json", "rig.yaml"):
+            check_output_file(folder / name)
         viewer = None if args.no_rerun else stack.enter_context(_viewer(args, recording, settings, len(indices)))
         display = stack.enter_context(progress())
         task = display.add_task("compiling kernels", total=len(indices))
@@ -98,12 +111,24 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
                 pairs_asked=len(indices),
                 records=records,
                 interrupted=stopped is not None,
+                notes=notes,
                 results=results,
             )
             paths = write_report(folder, report)
-            display.stop()
-            _print(report, folder, paths, to_stderr=args.stdout)
-    return 0 if stopped is None else exit_code(stopped)
+            # Whoever has hung up reads no more of it.
+            with contextlib.nullcontext() if stopped is None else contextlib.suppress(OSError):
+                display.stop()
+                if not args.quiet:
+                    _print(report, folder, paths, to_stderr=args.stdout)
+    ok = sum(record.status == "ok" for record in records)
+    return verdict(ok, len(records), strict=args.strict) if stopped is None else exit_code(stopped)
+
+
+def verdict(ok: int, pairs: int, *, strict: bool) -> int:
+    """The exit code of a run of which `ok` pairs of `pairs` succeeded."""
+    if pairs and not ok:
+        return ALL_FAILED
+    return SOME_FAILED if strict and ok < pairs else 0
 
 
 def selected_pairs(text: str | None, count: int) -> list[int]:
@@ -118,8 +143,9 @@ def selected_pairs(text: str | None, count: int) -> list[int]:
     indices: list[int] = []
     for part in text.split(","):
         first, dash, last = part.strip().partition("-")
-        if not (first.isdecimal() and (last.isdecimal() if dash else not last)):
-            raise InputError(f"--pairs: expected numbers and ranges as in 0,3,5-7, got {text!r}")
+        if not (first.isdecimal() and (last.isdecimal() if dash else not last)) or len(part) > MAX_DIGITS:
+            shown = text if len(text) <= MAX_DIGITS else f"{text[:MAX_DIGITS]}…"
+            raise InputError(f"--pairs: expected numbers and ranges as in 0,3,5-7, got {shown!r}")
         chosen = range(int(first), int(last if dash else first) + 1)
         if not chosen or chosen[-1] >= count:
             raise InputError(f"--pairs: expected ranges within 0-{count - 1}, the recording's pairs, got {part!r}")
@@ -204,7 +230,7 @@ def _viewer(args: argparse.Namespace, recording: Recording, settings: Settings, 
     with open_stream(args, recording.name, dashboard(many_pairs=pair_count > 1)) as stream:
         log_recording_properties(
             stream,
-            recording=str(args.recording),
+            recording=printable(args.recording),
             sensors=recording.sensors,
             calibration=args.calibration,
             parameters=asdict(settings),
@@ -217,8 +243,10 @@ def _print(report: Report, folder: Path, paths: tuple[Path, Path], *, to_stderr:
     if not console.is_terminal:
         console = Console(stderr=to_stderr, highlight=False, soft_wrap=True, width=TABLE_WIDTH)
     console.print(terminal_table(report))
+    for note in report.notes:
+        console.print(f"note: {one_line(note)}", style="yellow", markup=False)
     for line in report.failures():
-        console.print(f"failed: {line}", style="red", markup=False)
-    console.print(f"report: {paths[0]}, {paths[1]}", markup=False)
+        console.print(printable(f"failed: {line}"), style="red", markup=False)
+    console.print(printable(f"report: {paths[0]}, {paths[1]}"), markup=False)
     for what, path in report.results.items():
-        console.print(f"{what}: {os.path.normpath(folder / path)}", markup=False)
+        console.print(printable(f"{what}: {os.path.normpath(folder / path)}"), markup=False)

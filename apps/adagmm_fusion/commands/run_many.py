@@ -11,12 +11,14 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.table import Column, Table
+from rich.text import Text
 
-from adagmm_fusion.commands.run import run
+from adagmm_fusion.commands.run import run, verdict
 from adagmm_fusion.errors import RecordingError
-from adagmm_fusion.formats import FORMATS
+from adagmm_fusion.formats import matching
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.processes.task_pool import TaskFailure, run_tasks
+from adagmm_fusion.processes.terminal import printable
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,9 @@ def recordings_in(path: str | Path) -> list[Path]:
 
 
 def run_many(recordings: list[Path], args: argparse.Namespace, settings: Settings) -> int:
-    """Run every recording; returns 0 if all could be run, 1 if one could not. Each has the files of a run of its own.
+    """Run every recording; returns 1 if one could not be run, else the `verdict` on the pairs of all.
+
+    Each has the files of a run of its own.
 
     Raises
     ------
@@ -59,16 +63,21 @@ def run_many(recordings: list[Path], args: argparse.Namespace, settings: Setting
     output = Path(args.output) if args.output else Path("output") / Path(args.recording).resolve().name
     tasks = {path.name: RecordingTask(_for_one(args, path, output), settings) for path in recordings}
     results = dict(run_tasks(run_recording, tasks, workers=args.workers, scheduler=args.scheduler))
-    table = Table("recording", "ok", "pairs", "median [°]", "median [mm]", Column("report", overflow="fold"))
+    headings = map(_text, ("recording", "ok", "pairs", "median [°]", "median [mm]"))
+    table = Table(*map(Column, headings), Column("report", overflow="fold"))
     for name in tasks:
         result = results[name]
         if isinstance(result, TaskFailure):
-            table.add_row(name, "-", "-", "-", "-", f"failed: {result.reason}")
+            table.add_row(_text(name), "-", "-", "-", "-", _text(f"failed: {result.reason}"))
         else:
             numbers = (_shown(result.rotation_deg, 2), _shown(result.translation_mm, 0))
-            table.add_row(name, str(result.ok), str(result.pairs), *numbers, result.report)
-    Console().print(table)
-    return int(any(isinstance(result, TaskFailure) for result in results.values()))
+            table.add_row(_text(name), str(result.ok), str(result.pairs), *numbers, _text(result.report))
+    if not args.quiet:
+        Console().print(table)
+    done = [result for result in results.values() if isinstance(result, RecordingResult)]
+    if len(done) < len(results):
+        return 1
+    return verdict(sum(result.ok for result in done), sum(result.pairs for result in done), strict=args.strict)
 
 
 def run_recording(task: RecordingTask) -> RecordingResult:
@@ -76,7 +85,7 @@ def run_recording(task: RecordingTask) -> RecordingResult:
     with contextlib.redirect_stdout(io.StringIO()):
         run(task.arguments, task.settings)
     path = Path(task.arguments.output) / "report.json"
-    pairs = json.loads(path.read_text())["pairs"]
+    pairs = json.loads(path.read_text(encoding="utf-8"))["pairs"]
 
     def median(key: str) -> float | None:
         known = [pair[key] for pair in pairs if pair[key] is not None]
@@ -93,7 +102,12 @@ def _for_one(args: argparse.Namespace, recording: Path, output: Path) -> argpars
 
 
 def _is_recording(folder: Path) -> bool:
-    return any(module.matches(folder) for module in FORMATS.values())
+    return bool(matching(folder))
+
+
+def _text(words: str) -> Text:
+    """Words as they are: rich would take a unit or a name in brackets for markup."""
+    return Text(printable(words))
 
 
 def _shown(number: float | None, digits: int) -> str:

@@ -1,9 +1,12 @@
 """The options of `adagmm-fusion run`; see run.py for one recording, run_many.py for a folder of them."""
 
 import argparse
+import logging
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import asdict, fields
 from typing import Any
+
+from adagmm_fusion.processes.interruption import heard_afterwards
 
 SETTINGS_OPTIONS = {
     "sensor_model": "--sensor-model",
@@ -21,15 +24,18 @@ SETTINGS_OPTIONS = {
 
 
 def add(commands: argparse._SubParsersAction) -> None:
-    from adagmm_fusion.clouds.building import SENSOR_MODELS
+    from adagmm_fusion.clouds.sensor_models import sensor_models
     from adagmm_fusion.formats import FORMATS
     from adagmm_fusion.pairs.settings import STARTS, Settings
-    from adagmm_fusion.rerun_log import add_rerun_arguments
+    from adagmm_fusion.rerun_arguments import add_rerun_arguments
 
     default = {field.name: field.default for field in fields(Settings)}
-    text = "Register the pairs of a recording; write a report, fused clouds, the estimated rig and a Rerun recording."
+    text = (
+        "Register the pairs of a recording; write a report, fused clouds, the estimated rig and a Rerun recording. The "
+        "exit code is 0 if pairs succeeded, 6 if all failed, and with --strict 5 if some did."
+    )
     command = commands.add_parser("run", help="register the pairs of a recording", description=text)
-    command.add_argument("recording", metavar="RECORDING", help="a folder, or one of many; see recordings/README.md")
+    command.add_argument("recording", metavar="RECORDING", help="a folder, a video file, or a folder of many")
     command.add_argument("--calibration", metavar="RIG", help="a rig file instead of the recording's own calibration")
     command.add_argument("--format", choices=sorted(FORMATS), help="the recording's format (default: looked for)")
     command.add_argument(
@@ -45,6 +51,12 @@ def add(commands: argparse._SubParsersAction) -> None:
     command.add_argument("--workers", type=int, metavar="N", help="for a folder of recordings: local processes")
     command.add_argument("--scheduler", metavar="ADDRESS", help="for a folder of recordings: a Dask cluster instead")
     command.add_argument("--no-clouds", action="store_true", help="write neither fused clouds nor textured meshes")
+    command.add_argument("--strict", action="store_true", help="exit with 5 where some pairs failed, instead of 0")
+    command.add_argument("--config", metavar="FILE", help="settings from a file as --dump-config prints it")
+    command.add_argument("--dump-config", action="store_true", help="print the settings as such a file, and end")
+    loudness = command.add_mutually_exclusive_group()
+    loudness.add_argument("-v", "--verbose", action="store_true", help="log what is chosen on the way, too")
+    loudness.add_argument("-q", "--quiet", action="store_true", help="print nothing but errors")
     method = command.add_argument_group("method")
     success = command.add_argument_group("what counts as success")
 
@@ -62,7 +74,7 @@ def add(commands: argparse._SubParsersAction) -> None:
             **more,
         )
 
-    add_setting(method, "sensor_model", str, None, "where covariances come from", choices=SENSOR_MODELS)
+    add_setting(method, "sensor_model", str, None, "where covariances come from", choices=sensor_models())
     add_setting(
         method, "voxel_size_m", float, "METRES", "edge of the averaging grid (default: as fits --target-points)"
     )
@@ -94,10 +106,17 @@ def run(args: argparse.Namespace) -> int:
     ------
     AdaGMMError  if a setting, a recording or its rig cannot be used, or a result cannot be written.
     """
-    from adagmm_fusion.commands import run as one_recording
-    from adagmm_fusion.commands.run_many import recordings_in, run_many
-    from adagmm_fusion.pairs.settings import Settings
+    with heard_afterwards():
+        from adagmm_fusion.commands import run as one_recording
+        from adagmm_fusion.commands.run_config import config_text
+        from adagmm_fusion.commands.run_many import recordings_in, run_many
+        from adagmm_fusion.pairs.settings import Settings
 
     settings = Settings(**{name: getattr(args, name) for name in SETTINGS_OPTIONS})
+    if args.dump_config:
+        print(config_text(asdict(settings)), end="")
+        return 0
+    if args.verbose or args.quiet:
+        logging.basicConfig(level=logging.INFO if args.verbose else logging.ERROR, format="%(message)s")
     recordings = recordings_in(args.recording)
     return run_many(recordings, args, settings) if recordings else one_recording.run(args, settings)

@@ -2,6 +2,8 @@
 
 import argparse
 
+from adagmm_fusion.processes.terminal import printable
+
 
 def add(commands: argparse._SubParsersAction) -> None:
     text = "Render a recording of two Kinects in a furnished room, with an exactly known rig."
@@ -23,5 +25,5 @@ def run(args: argparse.Namespace) -> int:
     from adagmm_fusion.simulation.recording import simulate_recording
 
     rig = simulate_recording(args.output, pairs=args.pairs, seed=args.seed, calibration=args.calibration)
-    print(f"{args.output}: {args.pairs} pair(s), rig {rig}")
+    print(printable(f"{args.output}: {args.pairs} pair(s), rig {rig}"))
     return 0

@@ -3,6 +3,8 @@
 import argparse
 from typing import Any
 
+from adagmm_fusion.processes.terminal import printable
+
 EXIT_CODES = {"unchanged": 0, "moved": 3, "undecided": 4}
 TABLE_WIDTH = 150  # where the output is no terminal
 
@@ -17,7 +19,7 @@ def add(commands: argparse._SubParsersAction) -> None:
     )
     command = commands.add_parser("verify", help="say whether a rig's calibration is still true", description=text)
     command.add_argument("rig", metavar="RIG", help="the rig file; its intrinsics replace the recording's")
-    command.add_argument("recording", metavar="RECORDING", help="the recording; see recordings/README.md")
+    command.add_argument("recording", metavar="RECORDING", help="the recording, a folder or video file")
     command.add_argument("--format", choices=sorted(FORMATS), help="the recording's format (default: looked for)")
     command.add_argument("--frames", type=int, default=10, metavar="N", help="moments at most (default: %(default)s)")
     command.add_argument(
@@ -50,6 +52,8 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
 
     from adagmm_fusion.commands.progress import progress_bar
+    from adagmm_fusion.errors import one_line
+    from adagmm_fusion.pairs.plausibility import recording_warnings
     from adagmm_fusion.pairs.settings import Settings
     from adagmm_fusion.recordings.opening import open_recording
     from adagmm_fusion.rigs.checking import MIN_FRAMES, check_rig
@@ -78,7 +82,9 @@ def run(args: argparse.Namespace) -> int:
         console = Console(highlight=False, soft_wrap=True, width=TABLE_WIDTH)
     for check in checks:
         console.print(_table(check))
-        console.print(_sentence(check), markup=False)
+        console.print(printable(_sentence(check)), markup=False)
+    for note in (*recording.notes, *recording_warnings(recording)):
+        print(f"note: {one_line(note)}")
     verdicts = {check.verdict for check in checks}
     return next(EXIT_CODES[verdict] for verdict in ("moved", "undecided", "unchanged") if verdict in verdicts)
 

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.files.depth_files import MAX_PIXELS, decoder_of
 from adagmm_fusion.files.input_file import read_input
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame
 from adagmm_o3d.errors import InputError, InputTypeError
@@ -18,7 +19,6 @@ from adagmm_o3d.errors import InputError, InputTypeError
 MISSING = "the image is missing"
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
-MAX_PIXELS = 1 << 26  # a file of a few bytes can claim to be an image of gigabytes
 # JPEG markers: those that no length follows, and those that start a frame and state the image's size.
 JPEG_ALONE = (0x01, *range(0xD0, 0xDA))
 JPEG_FRAMES = (*range(0xC0, 0xC4), *range(0xC5, 0xC8), *range(0xC9, 0xCC), *range(0xCD, 0xD0))
@@ -44,8 +44,13 @@ def inside(root: Path, relative: str, where: str) -> Path:
 
 def read_color(path: Path) -> np.ndarray:
     """(H, W, 3) uint8 RGB from a PNG or JPEG file, as the sensor delivered it (an EXIF orientation is not applied)."""
+    return decoded_color(read_input(path, RecordingError, missing=MISSING), path)
+
+
+def decoded_color(data: bytes, path: Path) -> np.ndarray:
+    """`read_color` of a file's bytes; `path` is what messages name."""
     flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
-    image = _decoded(path, flags)
+    image = _decoded(data, path, flags)
     if image.dtype != np.uint8:
         bits = image.dtype.itemsize * 8
         raise RecordingError(f"{path}: expected colours of 8 bits, got {bits}; is it the depth image?")
@@ -53,8 +58,15 @@ def read_color(path: Path) -> np.ndarray:
 
 
 def read_depth(path: Path) -> np.ndarray:
-    """(H, W) uint16 from a PNG file with one 16-bit channel."""
-    image = _decoded(path, cv2.IMREAD_UNCHANGED)
+    """(H, W) uint16 from a PNG file with one 16-bit channel; also float32 or float64 from one of `depth_files`."""
+    return decoded_depth(read_input(path, RecordingError, missing=MISSING), path)
+
+
+def decoded_depth(data: bytes, path: Path) -> np.ndarray:
+    """`read_depth` of a file's bytes; `path` is what messages name."""
+    if (decode := decoder_of(data)) is not None:
+        return decode(data, path)
+    image = _decoded(data, path, cv2.IMREAD_UNCHANGED)
     if image.ndim != 2 or image.dtype != np.uint16:
         channels = 1 if image.ndim == 2 else image.shape[2]
         bits = image.dtype.itemsize * 8
@@ -63,7 +75,10 @@ def read_depth(path: Path) -> np.ndarray:
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """(width, height) of a PNG file, from its header."""
+    """(width, height) of a PNG file, from its header; of other depth files, from all of it."""
+    if decoder_of(read_input(path, RecordingError, count=8, missing=MISSING)) is not None:
+        height, width = read_depth(path).shape
+        return width, height
     header = read_input(
         path, RecordingError, count=33, missing=MISSING
     )  # the signature and the first chunk, IHDR, with its checksum
@@ -103,10 +118,9 @@ def checked_frame(path: Path, *values: Any) -> RGBDFrame:
         raise RecordingError(f"{path}: frame {problem}") from problem
 
 
-def _decoded(path: Path, flags: int) -> np.ndarray:
-    data = _complete(path)
+def _decoded(data: bytes, path: Path, flags: int) -> np.ndarray:
     try:
-        image = cv2.imdecode(data, flags)
+        image = cv2.imdecode(_complete(data, path), flags)
     except cv2.error:  # for what it does not take at all
         image = None
     if image is None:
@@ -114,9 +128,8 @@ def _decoded(path: Path, flags: int) -> np.ndarray:
     return image
 
 
-def _complete(path: Path) -> np.ndarray:
-    """The file's bytes. Decoders fill what is cut off with grey, or print about it, so that is looked at here."""
-    data = read_input(path, RecordingError, missing=MISSING)
+def _complete(data: bytes, path: Path) -> np.ndarray:
+    """The bytes. Decoders fill what is cut off with grey, or print about it, so that is looked at here."""
     if data.startswith(PNG_SIGNATURE):
         complete = data[12:16] == b"IHDR" and _png_is_complete(data)
         width, height = struct.unpack(">II", data[16:24]) if complete else (0, 0)

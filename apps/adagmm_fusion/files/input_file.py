@@ -1,5 +1,6 @@
-"""Files of a recording or rig, read whole: only regular ones, for a pipe may never end, and none without bound."""
+"""Files that are read: only regular ones, for a pipe may never end, and none whole without bound."""
 
+import hashlib
 import os
 import stat
 from pathlib import Path
@@ -9,34 +10,53 @@ from adagmm_o3d.errors import InputError
 MAX_BYTES = 1 << 28  # far more than an image, a list of images or a calibration
 
 
-def read_input(path: Path, error: type[InputError], *, count: int = MAX_BYTES, missing: str | None = None) -> bytes:
+def check_input(path: Path, error: type[InputError], *, missing: str | None = None) -> None:
+    """Before another library opens a file, which would wait for ever for what a pipe may bring.
+
+    Raises
+    ------
+    error  naming the file, if it is not there (`missing` says so), cannot be read, or is no file.
+    """
+    read_input(path, error, count=0, missing=missing, bounded=False)
+
+
+def read_input(
+    path: Path, error: type[InputError], *, count: int = MAX_BYTES, missing: str | None = None, bounded: bool = True
+) -> bytes:
     """The bytes of a file, links followed; with `count` its first ones.
 
     Raises
     ------
-    error  naming the file, if it is not there (`missing` says so), cannot be read, is no file, or has more than
-        MAX_BYTES.
+    error  naming the file, if it is not there (`missing` says so), cannot be read, is no file, or, if it is to
+        be `bounded`, has more than MAX_BYTES.
     """
     try:
         with open(path, "rb", opener=_without_waiting) as file:
             status = os.fstat(file.fileno())
             if not stat.S_ISREG(status.st_mode):
                 raise error(f"{path}: cannot be read: it is a pipe or a device, not a file")
-            if status.st_size > MAX_BYTES:
+            if bounded and status.st_size > MAX_BYTES:
                 raise error(
                     f"{path}: cannot be read: expected at most {MAX_BYTES >> 20} MiB, got {status.st_size >> 20}"
                 )
             return file.read(count)
+    except ValueError as problem:  # a NUL byte in its name
+        raise error(f"{path}: cannot be read: {problem}") from problem
     except OSError as problem:
         if missing is not None and isinstance(problem, FileNotFoundError):
             raise error(f"{path}: {missing}") from problem
         raise error(f"{path}: cannot be read: {problem.strerror}") from problem
 
 
+def input_digest(path: Path, error: type[InputError]) -> str:
+    """Twelve digits that change with a file's content; see `read_input`."""
+    return hashlib.sha256(read_input(path, error)).hexdigest()[:12]
+
+
 def read_input_text(path: Path, error: type[InputError]) -> str:
-    """The text of a UTF-8 file; see `read_input`."""
+    """The text of a UTF-8 file, without the mark that editors of Windows put before it; see `read_input`."""
     try:
-        return read_input(path, error).decode("utf-8")
+        return read_input(path, error).decode("utf-8-sig")
     except UnicodeDecodeError as problem:
         byte = problem.object[problem.start]
         raise error(f"{path}: expected UTF-8 text, got byte {byte:#04x}; is it a binary file?") from problem

@@ -8,6 +8,7 @@ On some damaged files OpenCV does not raise an error but ends the process. The c
 import json
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -18,14 +19,33 @@ MEMORY_BYTES = 2 << 30
 MAX_NUMBERS = 1000  # of one matrix or list; a calibration has a dozen
 
 
-def read_nodes(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray] | None:
-    """Those of the named top-level numbers, lists and matrices that are there; None if the file is none of OpenCV's."""
+@dataclass(frozen=True, eq=False)
+class OpenCVNodes:
+    """`numbers`: the wanted top-level numbers, lists and matrices by their plain name. `keys`: all top-level names."""
+
+    numbers: dict[str, np.ndarray]
+    keys: tuple[str, ...]
+
+    def first(self, names: tuple[str, ...]) -> np.ndarray | None:
+        """The numbers under the first of these names that is there, or None."""
+        return next((self.numbers[name] for name in names if name in self.numbers), None)
+
+
+def plain_name(key: str) -> str:
+    """A key without case and underscores, which programs write as they please."""
+    return key.lower().replace("_", "")
+
+
+def read_nodes(path: Path, names: tuple[str, ...]) -> OpenCVNodes | None:
+    """The top-level nodes of these plain names; None if the file is none of OpenCV's, or one of them has no numbers."""
     command = [sys.executable, "-m", "adagmm_fusion.files.opencv_nodes", str(path), *names]
     try:
         done = subprocess.run(command, capture_output=True, timeout=TIMEOUT_S, check=True)
-        return {name: np.array(values, dtype=float) for name, values in json.loads(done.stdout).items()}
+        found = json.loads(done.stdout)
+        numbers = {name: np.array(values, dtype=float) for name, values in found["numbers"].items()}
     except (subprocess.SubprocessError, ValueError):
         return None
+    return OpenCVNodes(numbers, tuple(found["keys"]))
 
 
 def _numbers(node: cv2.FileNode) -> list | float:
@@ -34,7 +54,9 @@ def _numbers(node: cv2.FileNode) -> list | float:
             raise ValueError("a matrix that is too large")
         return node.mat().tolist()
     if node.isSeq():
-        return [node.at(i).real() for i in range(min(node.size(), MAX_NUMBERS))]
+        return [_numbers(node.at(i)) for i in range(min(node.size(), MAX_NUMBERS))]
+    if not (node.isInt() or node.isReal()):  # OpenCV gives 1.8e308 for a text
+        raise ValueError("no number")
     return node.real()
 
 
@@ -49,8 +71,10 @@ def _main(path: str, *names: str) -> None:
     storage = cv2.FileStorage(path, cv2.FILE_STORAGE_READ)
     if not storage.isOpened():
         raise ValueError("OpenCV cannot read it")
-    nodes = {name: storage.getNode(name) for name in names}
-    print(json.dumps({name: _numbers(node) for name, node in nodes.items() if not node.empty()}))
+    root = storage.root()
+    wanted = {plain_name(key): key for key in root.keys() if plain_name(key) in names}  # noqa: SIM118
+    numbers = {name: _numbers(root.getNode(key)) for name, key in wanted.items()}
+    print(json.dumps({"numbers": numbers, "keys": list(root.keys())}))
 
 
 if __name__ == "__main__":

@@ -6,16 +6,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from adagmm_fusion.errors import OutputError
-
-try:
-    import fcntl
-except ImportError:  # Windows: two runs into one folder are not told apart there
-    fcntl = None
+from adagmm_fusion.files.file_lock import lock
 
 
 @contextmanager
-def exclusive(folder: Path) -> Iterator[None]:
+def exclusive(folder: Path, *, follow_links: bool = True) -> Iterator[None]:
     """Make the folder where it is missing; within, no other run gets it. However this one ends, it is free again.
+
+    follow_links : whether it may be a link to a folder.
 
     Raises
     ------
@@ -23,7 +21,14 @@ def exclusive(folder: Path) -> Iterator[None]:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        handle = None if fcntl is None else os.open(folder, os.O_RDONLY)
+        if not follow_links and folder.is_symlink():
+            raise OutputError(f"{folder}: expected a folder, it is a link; take it away")
+        # Windows opens no folders: two runs into one are not told apart there
+        handle = None if os.name == "nt" else os.open(folder, os.O_RDONLY | (0 if follow_links else os.O_NOFOLLOW))
+    except OutputError:
+        raise
+    except ValueError as problem:  # a NUL byte in its name
+        raise OutputError(f"{folder}: cannot be written: {problem}") from problem
     except OSError as problem:
         raise OutputError(f"{folder}: cannot be written: {problem.strerror}") from problem
     try:
@@ -37,9 +42,6 @@ def exclusive(folder: Path) -> Iterator[None]:
 
 def _locked(handle: int) -> bool:
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
+        return lock(handle)
     except OSError:  # some network file systems lock no folders
-        pass
-    return True
+        return True

@@ -21,6 +21,9 @@ INTEGER = re.compile(r"[-+]?[0-9]{1,18}")
 # Escapes can stand for characters that are not text: half of a surrogate pair, or commands to a terminal.
 NO_TEXT = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
 MAX_DEPTH = 12
+MAX_VALUES = 1 << 22  # of a document; an hour of frames with their poses has a million
+# libyaml, where PyYAML was built with it, is twenty times as fast.
+LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,7 @@ class Item:
         if not isinstance(self.value, dict):
             self.fail(f"expected a mapping (key: value), got {self._kind()}")
         if required or optional:
-            known = [*required, *optional]
+            known = dict.fromkeys([*required, *optional])
             for key, item in self.value.items():
                 if key not in known:
                     item.fail(f"unknown key {key!r}; known here: {', '.join(known)}")
@@ -108,7 +111,7 @@ def read_yaml(path: str | Path, error: type[InputError]) -> Item:
     path = Path(path)
     text = read_input_text(path, error)
     try:
-        return _Builder(path, error, yaml.parse(text, Loader=yaml.SafeLoader)).document()
+        return _Builder(path, error, yaml.parse(text, Loader=LOADER)).document()
     except InputError:
         raise
     except (ValueError, OverflowError) as problem:  # an escape such as \\UFFFFFFFF, which is no character
@@ -124,7 +127,7 @@ class _Builder:
     """Turns the parser's events into Items, refusing what is not plain data."""
 
     def __init__(self, path: Path, error: type[InputError], events: Any):
-        self.path, self.error, self.events = path, error, events
+        self.path, self.error, self.events, self.values = path, error, events, 0
 
     def document(self) -> Item:
         next(self.events)  # start of the stream
@@ -145,9 +148,12 @@ class _Builder:
             raise self.error(f"{where}: tags ({event.tag}) are not allowed")
         if depth > MAX_DEPTH:
             raise self.error(f"{where}: nested more than {MAX_DEPTH} levels deep")
+        self.values += 1
+        if self.values > MAX_VALUES:
+            raise self.error(f"{where}: expected a document of at most {MAX_VALUES} values")
         quoted = False
         if isinstance(event, yaml.ScalarEvent):
-            value, quoted = event.value, event.style is not None
+            value, quoted = event.value, event.style not in (None, "")  # "": libyaml's word for plain
             if found := NO_TEXT.search(value):
                 raise self.error(f"{where}: expected text, got the character {found[0]!a} in it")
         elif isinstance(event, yaml.SequenceStartEvent):

@@ -21,7 +21,9 @@ from adagmm_fusion.files.input_file import read_input
 VALUE_DTYPES = {1: "i1", 2: "u1", 3: "<i2", 4: "<u2", 5: "<i4", 6: "<u4", 7: "<f4", 9: "<f8", 12: "<i8", 13: "<u8"}
 CLASS_DTYPES = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
 STRUCTURE, MATRIX, COMPRESSED, COMPLEX = 2, 14, 15, 0x0800
-MAX_BYTES = 1 << 26  # of one variable; far more than an image
+MAX_BYTES = 1 << 26  # of the variable that is read; far more than an image
+HEAD_BYTES = 1024  # a variable's flags, dimensions and name are in these
+MAX_VARIABLES = 10_000
 MAX_DIMENSIONS = 8
 
 
@@ -41,14 +43,20 @@ def read_variable(path: Path, name: str) -> np.ndarray | dict[str, np.ndarray]:
         raise RecordingError(f"{path}: not a MATLAB file of level 5, or cut off; save it in MATLAB with -v7")
     try:
         rest = memoryview(data)[128:]  # parts of it are no copies: there may be very many
-        while rest:
+        for _ in range(MAX_VARIABLES):
+            if not rest:
+                break
             kind, content, rest = _element(rest)
             if kind == COMPRESSED:
+                if _name_in(content) != name:
+                    continue
                 kind, content, _ = _element(_inflate(content))
             if kind == MATRIX:
                 found, value = _matrix(content, name)
                 if found == name:
                     return value
+        if rest:
+            raise _Damaged(f"it has more than {MAX_VARIABLES} variables")
     except (_Damaged, zlib.error) as problem:
         raise RecordingError(f"{path}: the MATLAB file is damaged or cut off: {problem}") from problem
     raise RecordingError(f"{path}: there is no variable {name!r} in it")
@@ -69,6 +77,16 @@ def _element(data: memoryview) -> tuple[int, memoryview, memoryview]:
     if start + size > len(data):
         raise _Damaged("it ends within an element")
     return kind, data[start : start + size], data[end:]
+
+
+def _name_in(content: memoryview) -> str | None:
+    """The name of the variable in a compressed element, of which only the head is inflated; None of anything else."""
+    head = memoryview(zlib.decompressobj().decompress(content[: 2 * HEAD_BYTES], HEAD_BYTES))
+    if len(head) < 8 or int(np.frombuffer(head, "<u4", 1)[0]) != MATRIX:
+        return None
+    _, _, rest = _element(head[8:])
+    _, _, rest = _element(rest)
+    return bytes(_element(rest)[1]).decode("latin-1")
 
 
 def _inflate(content: memoryview) -> memoryview:

@@ -5,16 +5,21 @@ taken, and a frame has the time it was sought at. Depth is in millimetres. Open3
 it does not bring along.
 """
 
+import math
 import re
+from pathlib import Path
 
 import numpy as np
 import open3d as o3d
 
 from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.files.input_file import check_input
+
+MAX_FRAMES = 1_000_000  # nine hours; a damaged file may tell of centuries
 
 
 class MKVStream:
-    """Colour and depth of one camera, by time.
+    """Colour and depth of one camera, by the number of a frame.    times : (n,) of the frames [s].
 
     Raises
     ------
@@ -22,9 +27,11 @@ class MKVStream:
     """
 
     fps, depth_scale, intrinsics = 30.0, 1000.0, None
+    notes = ()
 
     def __init__(self, path: str) -> None:
         self.path = path
+        check_input(Path(path), RecordingError)
         try:
             self._reader = o3d.io.AzureKinectMKVReader()
         except AttributeError as problem:
@@ -40,10 +47,14 @@ class MKVStream:
             ) from problem
         if not opened:
             raise RecordingError(f"{path}: Open3D cannot open it; it is missing, cut off or not a camera's recording")
-        self.seconds = self._reader.get_metadata().stream_length_usec / 1e6
+        count = max(1, math.floor(self._reader.get_metadata().stream_length_usec / 1e6 * self.fps + 1e-6))
+        if count > MAX_FRAMES:
+            raise RecordingError(f"{path}: expected at most {MAX_FRAMES} frames, by its length it has {count}")
+        self.times = np.arange(count) / self.fps
 
-    def at(self, seconds: float) -> tuple[np.ndarray, np.ndarray, float]:
-        """RGB (H, W, 3), depth (H, W) and time [s] of the first whole frame from a time on."""
+    def at(self, index: int) -> tuple[np.ndarray, np.ndarray, float]:
+        """RGB (H, W, 3), depth (H, W) and time [s] of the first whole frame from the time of a frame on."""
+        seconds = float(self.times[index])
         with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
             sought = self._reader.seek_timestamp(round(1e6 * seconds))
             while sought and not self._reader.is_eof():

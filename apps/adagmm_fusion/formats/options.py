@@ -1,5 +1,6 @@
 """What a reader may be told, and what the readers share."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -58,6 +59,26 @@ def intrinsics_from_matrix(K: ArrayLike, size: tuple[int, int], path: Path) -> P
         return PinholeIntrinsics(*size, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
     except InputError as problem:
         raise RecordingError(f"{path}: {problem}") from problem
+
+
+def unpaired_notes(colors: Collection[str], depths: Collection[str], where: Path) -> tuple[str, ...]:
+    """What to say of frames, by name, of which only one image is there, and which are left out.
+
+    Raises
+    ------
+    RecordingError  if no frame has both.
+    """
+    notes = []
+    for there, other, missing in ((colors, depths, "depth"), (depths, colors, "colour")):
+        alone = sorted(name for name in there if name not in other)
+        if alone:
+            more = f" and {len(alone) - 3} more" if len(alone) > 3 else ""
+            notes.append(f"left out, without their {missing} image: {', '.join(alone[:3])}{more}")
+    if not any(name in depths for name in colors):
+        raise RecordingError(
+            f"{where}: no frame has both images; {'; '.join(notes) or 'there are none'}; give partners equal names"
+        )
+    return tuple(notes)
 
 
 def listed_images(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:

@@ -2,7 +2,8 @@
 
 recording.yaml              what there is, strictly read: unknown keys, aliases and the like are errors
 <sensor>/color/<frame>.png  RGB, or .jpg, .jpeg
-<sensor>/depth/<frame>.png  16 bit, in the rig file's depth units, 0 none, registered to the colour image
+<sensor>/depth/<frame>.png  16 bit, in the rig file's depth units, 0 none, registered to the colour image; or .tiff,
+                            .exr, .npy, .pgm, also of floating point numbers
 
 recording.yaml keys
   format, version           adagmm-recording, 1
@@ -24,6 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.files.depth_files import DEPTH_SUFFIXES
 from adagmm_fusion.files.image_files import COLOR_SUFFIXES, inside, load_frame
 from adagmm_fusion.files.strict_yaml import Item, read_yaml
 from adagmm_fusion.formats.options import ReadOptions, listed_images
@@ -36,6 +38,7 @@ NAME = "adagmm"
 SUMMARY = "our own layout (recording.yaml, <sensor>/color/, <sensor>/depth/)"
 MANIFEST = "recording.yaml"
 FORMAT, VERSION = "adagmm-recording", 1
+MAX_IMAGES = 1_000_000  # a small file can tell of many frames of many sensors
 FRAME_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 
 
@@ -56,6 +59,8 @@ def read(folder: Path, options: ReadOptions) -> Recording:
     frames = (
         _read_frames(keys["frames"], sensors, moving) if "frames" in keys else _find_frames(folder, sensors[0], moving)
     )
+    if len(frames) * len(calibrations) > MAX_IMAGES:
+        raise RecordingError(f"{folder}: expected at most {MAX_IMAGES} frames of all sensors")
     entries = []
     for name, timestamps, T_world_rig in frames:
         for sensor in calibrations:
@@ -74,12 +79,14 @@ def read(folder: Path, options: ReadOptions) -> Recording:
 
 def _load(folder: Path, frame: str, sensor: SensorCalibration, timestamp: float | None) -> RGBDFrame:
     where = str(folder)
-    depth = inside(folder, f"{sensor.name}/depth/{frame}.png", where)
-    colors = [inside(folder, f"{sensor.name}/color/{frame}{suffix}", where) for suffix in COLOR_SUFFIXES]
-    present = [path for path in colors if path.exists()]
-    if len(present) > 1:
-        raise RecordingError(f"{present[0]}: there is {present[1].name} beside it; keep one of them")
-    color = present[0] if present else colors[0]
+    images = []
+    for kind, suffixes in (("color", COLOR_SUFFIXES), ("depth", DEPTH_SUFFIXES)):
+        paths = [inside(folder, f"{sensor.name}/{kind}/{frame}{suffix}", where) for suffix in suffixes]
+        present = [path for path in paths if path.exists()]
+        if len(present) > 1:
+            raise RecordingError(f"{present[0]}: there is {present[1].name} beside it; keep one of them")
+        images += present or paths[:1]
+    color, depth = images
     return load_frame(frame, sensor.name, color, depth, sensor.intrinsics, sensor.depth_scale, timestamp)
 
 
@@ -90,17 +97,17 @@ def _read_motion(item: Item) -> bool:
 
 
 def _read_sensors(item: Item) -> list[str]:
-    names: list[str] = []
+    names: dict[str, None] = {}
     for entry in item.sequence():
         name = entry.text()
         if not SENSOR_NAME.fullmatch(name):
             entry.fail(f"expected a name of letters, digits, _ - and . (not first), got {name!r}")
         if name in names:
             entry.fail(f"sensor {name!r} is listed twice")
-        names.append(name)
+        names[name] = None
     if not names:
         item.fail("expected at least one sensor, got none")
-    return names
+    return list(names)
 
 
 def _find_rig(folder: Path, item: Item) -> Path:
@@ -150,7 +157,7 @@ def _find_frames(folder: Path, sensor: str, moving: bool) -> list[tuple[str, dic
     depths = inside(folder, f"{sensor}/depth", str(folder))
     if not depths.is_dir():
         raise RecordingError(f"{depths}: the folder of depth images is missing")
-    return [(path.stem, {}, None if moving else np.eye(4)) for path in listed_images(depths, (".png",))]
+    return [(path.stem, {}, None if moving else np.eye(4)) for path in listed_images(depths, DEPTH_SUFFIXES)]
 
 
 def _read_pairs(item: Item, entries: list[FrameEntry]) -> tuple[PairEntry, ...]:

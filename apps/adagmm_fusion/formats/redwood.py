@@ -4,11 +4,12 @@
     depth/                      *.png, 16 bit, millimetres, 0 none, registered to the colour image
     trajectory.log              or the only other *.log; per frame a line of three integers, of which the first is the
                                 frame's index, and four lines of four numbers, T_world_camera in metres
-    camera_intrinsic.json       optional, Open3D's PinholeCameraIntrinsic; else PrimeSense 525 525 319.5 239.5, 640x480
+    camera_intrinsic.json       or intrinsic.json, optional, Open3D's PinholeCameraIntrinsic; else PrimeSense 525 525
+                                319.5 239.5, 640x480
 
 Colour and depth belong together by the number that their names start with (Redwood adds a time stamp after a dash,
-which differs). Without a .log there is no ground truth. Source: Choi, Zhou, Koltun 2015; Open3D's reconstruction
-system.
+which differs); what has no partner is left out. Without a .log there is no ground truth. Source: Choi, Zhou, Koltun
+2015; Open3D's reconstruction system.
 """
 
 import json
@@ -19,9 +20,10 @@ from pathlib import Path
 import numpy as np
 
 from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.files.depth_files import DEPTH_SUFFIXES
 from adagmm_fusion.files.image_files import COLOR_SUFFIXES, inside, load_frame
 from adagmm_fusion.files.input_file import read_input_text
-from adagmm_fusion.formats.options import PRIMESENSE, ReadOptions, intrinsics_from_matrix, listed_images
+from adagmm_fusion.formats.options import PRIMESENSE, ReadOptions, intrinsics_from_matrix, listed_images, unpaired_notes
 from adagmm_fusion.formats.text_table import parse_numbers, parse_pose, read_rows
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.recordings.frame_sequence import FrameEntry, Recording, sequential_pairs
@@ -31,11 +33,12 @@ SUMMARY = "Redwood/Open3D folder (color/, depth/, trajectory.log)"
 SENSOR = "camera"
 DEPTH_SCALE = 1000.0
 COLOR_FOLDERS = ("color", "image", "rgb")
+INTRINSICS_NAMES = ("camera_intrinsic.json", "intrinsic.json")
 
 
 def matches(folder: Path) -> bool:
     has_images = (folder / "depth").is_dir() and any((folder / name).is_dir() for name in COLOR_FOLDERS)
-    return has_images and (any(folder.glob("*.log")) or (folder / "camera_intrinsic.json").is_file())
+    return has_images and (any(folder.glob("*.log")) or _intrinsics_path(folder) is not None)
 
 
 def read(folder: Path, options: ReadOptions) -> Recording:
@@ -43,18 +46,21 @@ def read(folder: Path, options: ReadOptions) -> Recording:
     if color_folder is None or not (folder / "depth").is_dir():
         raise RecordingError(f"{folder}: expected the folders color/ and depth/")
     colors = {path.stem.split("-")[0]: path for path in listed_images(color_folder, COLOR_SUFFIXES)}
-    depths = {path.stem.split("-")[0]: path for path in listed_images(folder / "depth", (".png",))}
-    if alone := sorted(colors.keys() ^ depths.keys()):
-        there, missing = (color_folder, "depth/") if alone[0] in colors else (folder / "depth", f"{color_folder.name}/")
-        raise RecordingError(f"{there}: frame {alone[0]} has no partner in {missing}")
-    poses = _read_trajectory(folder, len(depths))
+    depths = {path.stem.split("-")[0]: path for path in listed_images(folder / "depth", DEPTH_SUFFIXES)}
+    notes = unpaired_notes(colors, depths, folder)
+    # The trajectory counts all frames, those without a partner included.
+    names = sorted(colors.keys() | depths.keys())
+    poses = _read_trajectory(folder, len(names))
     intrinsics, depth_scale = options.calibration(SENSOR, _read_intrinsics(folder), DEPTH_SCALE, folder)
     entries = []
-    for i, name in enumerate(sorted(depths)):
+    for i, name in enumerate(names):
+        if name not in colors or name not in depths:
+            continue
         color, depth = (inside(folder, str(p.relative_to(folder)), str(folder)) for p in (colors[name], depths[name]))
         load = partial(load_frame, name, SENSOR, color, depth, intrinsics, depth_scale)
         entries.append(FrameEntry(name, SENSOR, load, poses.get(i)))
-    return Recording(folder.name, folder, NAME, tuple(entries), sequential_pairs(len(entries), options.step))
+    pairs = sequential_pairs(len(entries), options.step)
+    return Recording(folder.name, folder, NAME, tuple(entries), pairs, notes=notes)
 
 
 def _read_trajectory(folder: Path, frame_count: int) -> dict[int, np.ndarray]:
@@ -83,9 +89,13 @@ def _read_trajectory(folder: Path, frame_count: int) -> dict[int, np.ndarray]:
     return poses
 
 
+def _intrinsics_path(folder: Path) -> Path | None:
+    return next((folder / name for name in INTRINSICS_NAMES if (folder / name).is_file()), None)
+
+
 def _read_intrinsics(folder: Path) -> PinholeIntrinsics:
-    path = folder / "camera_intrinsic.json"
-    if not path.is_file():
+    path = _intrinsics_path(folder)
+    if path is None:
         return PRIMESENSE
     text = read_input_text(path, RecordingError)
     try:

@@ -1,6 +1,6 @@
 """7-Scenes sequences: one moving Kinect v1 tracked by KinectFusion.
 
-    frame-000000.color.png    RGB
+    frame-000000.color.png    RGB; or .jpg
     frame-000000.depth.png    16 bit, millimetres, 65535 and 0 none
     frame-000000.pose.txt     4x4 camera to world, metres; one of NaN or infinity where tracking was lost
 
@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from adagmm_fusion.errors import RecordingError
-from adagmm_fusion.files.image_files import inside, load_frame
+from adagmm_fusion.files.image_files import COLOR_SUFFIXES, inside, load_frame
 from adagmm_fusion.formats.options import ReadOptions
 from adagmm_fusion.formats.text_table import parse_pose, read_rows
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
@@ -40,7 +40,9 @@ def read(folder: Path, options: ReadOptions) -> Recording:
     entries = []
     for path in poses:
         name = path.name.removesuffix(".pose.txt")
-        color, depth = (inside(folder, f"{name}.{kind}.png", str(folder)) for kind in ("color", "depth"))
+        colors = [inside(folder, f"{name}.color{suffix}", str(folder)) for suffix in COLOR_SUFFIXES]
+        color = next((path for path in colors if path.exists()), colors[0])
+        depth = inside(folder, f"{name}.depth.png", str(folder))
         load = partial(load_frame, name, SENSOR, color, depth, intrinsics, depth_scale, fix_depth=_without_invalid)
         entries.append(FrameEntry(name, SENSOR, load, _read_pose(path)))
     return Recording(folder.name, folder, NAME, tuple(entries), sequential_pairs(len(entries), options.step))

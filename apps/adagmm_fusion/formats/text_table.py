@@ -1,10 +1,11 @@
 """Text files of words and numbers, line by line, without blank lines and # comments; errors name file and line."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.input_file import read_input_text
@@ -47,6 +48,16 @@ def parse_pose(numbers: ArrayLike, where: str) -> np.ndarray:
         return checked_rigid_transformation(np.reshape(numbers, (4, 4)), "pose")
     except InputError as problem:
         raise RecordingError(f"{where}: {problem}") from problem
+
+
+def parse_quaternion_pose(numbers: Sequence[float], where: str) -> np.ndarray:
+    """(4, 4) rigid transformation from x y z qx qy qz qw."""
+    quaternion = np.array(numbers[3:], dtype=np.float64)
+    if quaternion.shape != (4,) or abs(np.linalg.norm(quaternion) - 1) > 0.01:
+        raise RecordingError(f"{where}: expected a unit quaternion qx qy qz qw, got {quaternion.tolist()}")
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_quat(quaternion).as_matrix(), numbers[:3]
+    return parse_pose(T, where)
 
 
 def read_matrix(path: Path, rows: int, columns: int) -> np.ndarray:

@@ -8,6 +8,7 @@
                             the depth stamp (linear, slerp) where the samples around it are at most 0.1 s apart
     pairs.txt               optional: lines "source_depth_stamp target_depth_stamp"
 
+Times are seconds; whole numbers that must be milli-, micro- or nanoseconds, by their size or distance, are taken so.
 Depth: 16-bit PNG, 5000 units a metre, 0 none, registered to the colour image. Images that are listed and not there
 (both of them: a trimmed copy) are passed over. Intrinsics: by the sensor's name (freiburg1 to 3) in the folder's name
 or the comments of depth.txt, else from a rig. Source: Sturm et al. 2012 and the file format page of the benchmark.
@@ -26,6 +27,7 @@ from adagmm_fusion.files.image_files import inside, load_frame
 from adagmm_fusion.files.input_file import read_input_text
 from adagmm_fusion.formats.options import ReadOptions
 from adagmm_fusion.formats.text_table import parse_numbers, read_rows
+from adagmm_fusion.formats.time_units import units_per_second
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.recordings.frame_sequence import FrameEntry, PairEntry, Recording, sequential_pairs
 
@@ -34,6 +36,7 @@ SUMMARY = "TUM RGB-D folder (rgb.txt, depth.txt, groundtruth.txt)"
 SENSOR = "kinect"
 DEPTH_SCALE = 5000.0
 MAX_ASSOCIATION_GAP_S = 0.02
+MAX_WITHIN_GAP = 100  # no camera is that fast; all pairs of so many would be compared
 MAX_POSE_GAP_S = 0.1
 # The benchmark's calibrations of the colour cameras, which the depth is registered to.
 INTRINSICS = {
@@ -48,11 +51,11 @@ def matches(folder: Path) -> bool:
 
 
 def read(folder: Path, options: ReadOptions) -> Recording:
-    colors, depths = _read_stamps(folder, "rgb.txt"), _read_stamps(folder, "depth.txt")
+    (colors, _), (depths, depth_units) = _read_stamps(folder, "rgb.txt"), _read_stamps(folder, "depth.txt")
     if (folder / "associations.txt").is_file():
         associations = _read_associations(folder, depths)
     else:
-        associations = _associate(colors, depths)
+        associations = _associate(folder, colors, depths)
     present = [a for a in associations if a[2].exists() or a[1].exists()]
     if not present:
         raise RecordingError(f"{folder}: none of the {len(associations)} associated colour and depth images is there")
@@ -70,14 +73,14 @@ def read(folder: Path, options: ReadOptions) -> Recording:
         for (stamp, color, depth), pose in zip(present, poses, strict=True)
     )
     if (folder / "pairs.txt").is_file():
-        pairs = _read_pairs(folder / "pairs.txt", stamps)
+        pairs = _read_pairs(folder / "pairs.txt", stamps, depth_units)
     else:
         pairs = sequential_pairs(len(entries), options.step)
     return Recording(folder.name, folder, NAME, entries, pairs)
 
 
-def _read_stamps(folder: Path, name: str) -> list[tuple[float, Path]]:
-    """(timestamp, image path), by time."""
+def _read_stamps(folder: Path, name: str) -> tuple[list[tuple[float, Path]], float]:
+    """(timestamp [s], image path), by time, and how many units of the file a second has."""
     listed = []
     for where, words in read_rows(folder / name):
         if len(words) != 2:
@@ -85,11 +88,12 @@ def _read_stamps(folder: Path, name: str) -> list[tuple[float, Path]]:
         listed.append((parse_numbers(words[:1], 1, where)[0], inside(folder, words[1], where)))
     if not listed:
         raise RecordingError(f"{folder / name}: lists no image")
-    return sorted(listed)
+    units = units_per_second(stamp for stamp, _ in listed)
+    return sorted((stamp / units, path) for stamp, path in listed), units
 
 
 def _read_associations(folder: Path, depths: list[tuple[float, Path]]) -> list[tuple[float, Path, Path]]:
-    """(depth stamp, colour path, depth path), by time."""
+    """(depth stamp [s], colour path, depth path), by time."""
     depth_paths = {path for _, path in depths}
     associations = []
     for where, words in read_rows(folder / "associations.txt"):
@@ -101,17 +105,21 @@ def _read_associations(folder: Path, depths: list[tuple[float, Path]]) -> list[t
             associations.append((stamps[0], second, first))
         else:
             associations.append((stamps[1], first, second))
-    return sorted(associations)
+    units = units_per_second(stamp for stamp, _, _ in associations)
+    return sorted((stamp / units, color, depth) for stamp, color, depth in associations)
 
 
 def _associate(
-    colors: Sequence[tuple[float, Path]], depths: Sequence[tuple[float, Path]]
+    folder: Path, colors: Sequence[tuple[float, Path]], depths: Sequence[tuple[float, Path]]
 ) -> list[tuple[float, Path, Path]]:
     """The best partners first, each image once, as the benchmark's associate.py does."""
     color_stamps = np.array([stamp for stamp, _ in colors])
     candidates = []
     for j, (stamp, _) in enumerate(depths):
         first, last = np.searchsorted(color_stamps, (stamp - MAX_ASSOCIATION_GAP_S, stamp + MAX_ASSOCIATION_GAP_S))
+        if last - first > MAX_WITHIN_GAP:
+            what = f"{last - first} colour images within {MAX_ASSOCIATION_GAP_S:g} s of depth {stamp:g}"
+            raise RecordingError(f"{folder / 'rgb.txt'}: expected timestamps in seconds, there are {what}")
         candidates += [(abs(color_stamps[i] - stamp), i, j) for i in range(first, last)]
     used_colors, used_depths, associations = set(), set(), []
     for _, i, j in sorted(candidates):
@@ -135,6 +143,7 @@ def _poses_at(path: Path, stamps: np.ndarray) -> list[np.ndarray | None]:
     if len(rows) < 2:
         raise RecordingError(f"{path}: expected at least two poses, got {len(rows)}")
     table = np.array(sorted(rows))
+    table[:, 0] /= units_per_second(table[:, 0])
     times, translations, rotations = table[:, 0], table[:, 1:4], Rotation.from_quat(table[:, 4:])
     poses: list[np.ndarray | None] = []
     for stamp in stamps:
@@ -155,12 +164,14 @@ def _poses_at(path: Path, stamps: np.ndarray) -> list[np.ndarray | None]:
     return poses
 
 
-def _read_pairs(path: Path, stamps: np.ndarray) -> tuple[PairEntry, ...]:
+def _read_pairs(path: Path, stamps: np.ndarray, units: float) -> tuple[PairEntry, ...]:
     pairs = []
     for where, words in read_rows(path):
         indices = []
-        for stamp in parse_numbers(words, 2, where):
-            nearest = int(np.abs(stamps - stamp).argmin())
+        for number in parse_numbers(words, 2, where):
+            stamp = number / units
+            after = int(np.searchsorted(stamps, stamp))
+            nearest = min((i for i in (after - 1, after) if 0 <= i < len(stamps)), key=lambda i: abs(stamps[i] - stamp))
             if abs(stamps[nearest] - stamp) > 1e-6:
                 raise RecordingError(
                     f"{where}: no frame has its depth at {stamp:.6f}; the nearest is {stamps[nearest]:.6f}"

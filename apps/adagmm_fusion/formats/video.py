@@ -3,16 +3,23 @@
 The recording is one file (one moving sensor, no ground truth) or a folder with one file for each of several
 synchronised sensors, whose names are the files' names, the first one by name being the target. Times count from each
 file's first depth image, which synchronised recordings share. A rig with these sensors gives their poses, and replaces
-the intrinsics. What is in the files, and how frames are found by time: bag_stream.py and mkv_stream.py.
+the intrinsics. There is a frame for each depth image, whatever the clock says between them; frames of several sensors
+belong together where their times differ by less than half a frame. What is in the files: bag_stream.py,
+azure_kinect.py, mkv_stream.py.
 """
 
-import math
+from collections.abc import Iterator
 from functools import lru_cache, partial
 from pathlib import Path
 
+import numpy as np
+
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import checked_frame, inside
-from adagmm_fusion.formats.bag_stream import BagStream
+from adagmm_fusion.files.matroska_file import is_matroska
+from adagmm_fusion.formats import ros_bag
+from adagmm_fusion.formats.azure_kinect import AzureKinectStream
+from adagmm_fusion.formats.bag_stream import BagStream, is_realsense
 from adagmm_fusion.formats.mkv_stream import MKVStream
 from adagmm_fusion.formats.options import ReadOptions
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame
@@ -31,26 +38,59 @@ def read(path: Path, options: ReadOptions) -> Recording:
     files = _files(path)
     if not files:
         raise RecordingError(f"{path}: expected an .mkv or .bag file, or a folder with some")
+    if len(files) == 1 and files[0].suffix.lower() == ".bag" and not is_realsense(files[0]):
+        return ros_bag.read(files[0], options)
     streams = [_open(str(file)) for file in files]
     fps = streams[0].fps
     for file, stream in zip(files, streams, strict=True):
         if stream.fps != fps:
             raise RecordingError(f"{file}: {stream.fps:g} frames a second, but {files[0].name} has {fps:g}")
-    count = max(1, math.floor(min(stream.seconds for stream in streams) * fps + 1e-6))
-    entries = []
-    for i in range(count):
-        for file, stream in zip(files, streams, strict=True):
-            sensor, seconds = file.stem, i / fps
-            calibration = options.calibration(sensor, stream.intrinsics, stream.depth_scale, file)
-            name = f"{round(1000 * seconds):08d}ms"
-            pose = options.sensor_pose(sensor) if len(files) > 1 else None
-            entries.append(FrameEntry(name, sensor, partial(_load, file, name, seconds, *calibration), pose, seconds))
+    calibrations = [
+        options.calibration(file.stem, stream.intrinsics, stream.depth_scale, file)
+        for file, stream in zip(files, streams, strict=True)
+    ]
+    entries: list[FrameEntry] = []
+    pairs: list[PairEntry] = []
+    names = _names(streams[0].times)
+    for number, moment in enumerate(_moments([stream.times for stream in streams], fps)):
+        first = len(entries)
+        for file, stream, calibration, index in zip(files, streams, calibrations, moment, strict=True):
+            if index is None:
+                continue
+            pose = options.sensor_pose(file.stem) if len(files) > 1 else None
+            load = partial(_load, file, names[number], index, *calibration)
+            entries.append(FrameEntry(names[number], file.stem, load, pose, float(stream.times[index])))
+        if number % options.step == 0:
+            pairs += [PairEntry(other, first) for other in range(first + 1, len(entries))]
     if len(files) == 1:
-        pairs = sequential_pairs(count, options.step)
-    else:
-        first = range(0, len(entries), len(files) * options.step)
-        pairs = tuple(PairEntry(i + other, i) for i in first for other in range(1, len(files)))
-    return Recording(path.stem, path, NAME, tuple(entries), pairs)
+        pairs = list(sequential_pairs(len(entries), options.step))
+    notes = tuple(f"{file.name}: {note}" for file, s in zip(files, streams, strict=True) for note in s.notes)
+    return Recording(path.stem, path, NAME, tuple(entries), tuple(pairs), notes=notes)
+
+
+def _moments(times: list[np.ndarray], fps: float) -> Iterator[list[int | None]]:
+    """For each frame of the first sensor its index, and of the others that of the frame within half a frame of it, each
+    frame once, or None."""
+    first, *others = times
+    orders = [np.argsort(other, kind="stable") for other in others]
+    used: list[set[int]] = [set() for _ in others]
+    for index, time in enumerate(first):
+        moment: list[int | None] = [index]
+        for other, order, taken in zip(others, orders, used, strict=True):
+            low, high = np.searchsorted(other[order], (time - 0.5 / fps, time + 0.5 / fps))
+            near = [int(i) for i in order[low:high] if int(i) not in taken]
+            found = min(near, key=lambda i: abs(other[i] - time), default=None)
+            taken |= set() if found is None else {found}
+            moment.append(found)
+        yield moment
+
+
+def _names(times: np.ndarray) -> list[str]:
+    """Frames are called by their time; by their number where times repeat or run before the first."""
+    names = [f"{round(1000 * time):08d}ms" for time in times]
+    if times.min() < 0 or len(set(names)) < len(names):
+        return [f"{number:06d}" for number in range(len(names))]
+    return names
 
 
 def _files(path: Path) -> list[Path]:
@@ -60,12 +100,15 @@ def _files(path: Path) -> list[Path]:
     return [inside(path, file.name, str(path)) for file in files]
 
 
-def _load(file: Path, name: str, seconds: float, intrinsics: PinholeIntrinsics, depth_scale: float) -> RGBDFrame:
-    color, depth, timestamp = _open(str(file)).at(seconds)
+def _load(file: Path, name: str, index: int, intrinsics: PinholeIntrinsics, depth_scale: float) -> RGBDFrame:
+    color, depth, timestamp = _open(str(file)).at(index)
     return checked_frame(file, name, color, depth, intrinsics, depth_scale, file.stem, timestamp)
 
 
 @lru_cache(maxsize=4)
-def _open(path: str) -> BagStream | MKVStream:
+def _open(path: str) -> BagStream | AzureKinectStream | MKVStream:
     """An open file. It cannot go to another process, so each process opens its own."""
-    return MKVStream(path) if path.lower().endswith(".mkv") else BagStream(path)
+    if not path.lower().endswith(".mkv"):
+        return BagStream(path)
+    # What is no Matroska file is left to Open3D, which says so.
+    return AzureKinectStream(path) if is_matroska(Path(path)) else MKVStream(path)

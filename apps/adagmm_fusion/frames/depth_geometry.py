@@ -10,6 +10,8 @@ from adagmm_o3d.errors import InputError
 
 # Two neighbouring pixels count as one surface if the camera would see that surface at this angle or squarer.
 EDGE_ANGLE_DEG = 86.0
+# Of Gaussian differences one in a hundred is larger than this many standard deviations.
+NOISE_DEVIATIONS = 2.6
 
 
 @lru_cache(maxsize=8)
@@ -58,16 +60,37 @@ def depth_in_range(frame: RGBDFrame, min_depth: float, max_depth: float) -> np.n
     return depth
 
 
-def depth_edges(depth_m: np.ndarray, intrinsics: PinholeIntrinsics) -> np.ndarray:
-    """(H, W) bool: pixels with a depth jump to one of their four neighbours, where sensors report points in mid-air."""
+def depth_edges(depth_m: np.ndarray, intrinsics: PinholeIntrinsics, noise: np.ndarray | None = None) -> np.ndarray:
+    """(H, W) bool: pixels with a depth jump to one of their four neighbours, where sensors report points in mid-air.
+
+    `noise` (H, W) is the depth's standard deviation [m] of each pixel; where it is given, a jump is also larger than it
+    would make one of a hundred.
+    """
     edges = np.zeros(depth_m.shape, dtype=bool)
     down = np.s_[:-1, :], np.s_[1:, :], intrinsics.fy
     right = np.s_[:, :-1], np.s_[:, 1:], intrinsics.fx
     for here, there, focal_length in (down, right):
-        jump = depth_jumps(depth_m[here], depth_m[there], focal_length, EDGE_ANGLE_DEG)
+        a, b = depth_m[here], depth_m[there]
+        jump = depth_jumps(a, b, focal_length, EDGE_ANGLE_DEG)
+        if noise is not None:
+            with np.errstate(invalid="ignore"):
+                jump &= np.abs(a - b) > NOISE_DEVIATIONS * np.hypot(noise[here], noise[there])
         edges[here] |= jump
         edges[there] |= jump
     return edges
+
+
+def depth_noise(depth_m: np.ndarray) -> np.ndarray:
+    """(H, W) [m]: standard deviation of noise that is independent from pixel to pixel and grows with depth squared.
+
+    By the median second difference along rows, which surfaces, flat or bent, do not have. NaN where no depth is.
+    """
+    with np.errstate(invalid="ignore"):
+        second = np.abs(depth_m[:, 2:] - 2.0 * depth_m[:, 1:-1] + depth_m[:, :-2]) / depth_m[:, 1:-1] ** 2
+    second = second[np.isfinite(second)]
+    # A Gaussian's median magnitude is 0.6745 of its deviation; the weights 1, -2, 1 make that sqrt(6) times as large.
+    factor = float(np.median(second)) / (0.6745 * np.sqrt(6.0)) if second.size else 0.0
+    return factor * depth_m**2
 
 
 def depth_jumps(a: np.ndarray, b: np.ndarray, focal_length: float, angle_deg: float) -> np.ndarray:

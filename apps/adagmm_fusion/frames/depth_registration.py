@@ -1,9 +1,13 @@
 """Depth seen by one camera moved onto the pixel grid of another, as sensors do that register depth to colour."""
 
+import cv2
 import numpy as np
 
-from adagmm_fusion.frames.depth_geometry import back_project
+from adagmm_fusion.frames.depth_geometry import back_project, pixel_rays
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
+
+# What is farther off the axis than the image's corners, by a little, is beyond what the lens model holds for.
+WITHIN_LENS = 1.05
 
 
 def register_depth(
@@ -22,7 +26,7 @@ def register_depth(
     Parameters
     ----------
     depth : (H, W) uint16 or float, depth units, 0 for none.
-    depth_intrinsics, color_intrinsics : of the two cameras; the colour camera without lens distortion.
+    depth_intrinsics, color_intrinsics : of the two cameras; lens distortion counts for both.
     T_color_depth : (4, 4) [m], depth camera frame to colour camera frame.
     depth_scale : depth units per metre.
 
@@ -37,8 +41,7 @@ def register_depth(
     points = points[points[:, 2] > 0]
     points = points[np.argsort(-points[:, 2], kind="stable")]  # nearer points are written later, over farther ones
     x, y, z = points.T
-    u = color_intrinsics.fx * x / z + color_intrinsics.cx
-    v = color_intrinsics.fy * y / z + color_intrinsics.cy
+    u, v = _projected(x / z, y / z, color_intrinsics)
     reach_u = 0.5 * max(color_intrinsics.fx / depth_intrinsics.fx, 1.0)
     reach_v = 0.5 * max(color_intrinsics.fy / depth_intrinsics.fy, 1.0)
     registered = np.zeros((color_intrinsics.height, color_intrinsics.width), dtype=np.float32)
@@ -53,3 +56,18 @@ def register_depth(
             np.maximum.at(latest, (row[seen], column[seen]), order[seen])
     registered[latest >= 0] = (z * depth_scale)[latest[latest >= 0]]
     return registered
+
+
+def _projected(x: np.ndarray, y: np.ndarray, k: PinholeIntrinsics) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) columns and rows of what is seen at x/z, y/z; far outside where the lens would fold it into the image."""
+    if not k.distorted:
+        return k.fx * x + k.cx, k.fy * y + k.cy
+    rays = np.column_stack((x, y, np.ones(len(x))))
+    beyond = np.hypot(x, y) > WITHIN_LENS * np.hypot(*np.moveaxis(pixel_rays(k), -1, 0)).max()
+    rays[beyond] = (0.0, 0.0, 1.0)
+    if not len(rays):
+        return x, y
+    pixels, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), k.matrix(), np.array(k.distortion))
+    pixels = pixels.reshape(-1, 2)
+    pixels[beyond] = -1e6
+    return pixels[:, 0], pixels[:, 1]

@@ -38,6 +38,8 @@ def checked_rigid_transformation(transformation: ArrayLike, name: str, *, tolera
     if not np.isfinite(T).all():
         raise InputError(f"{name}: expected finite numbers, got NaN or infinity")
     if np.abs(T[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-9:
+        if np.abs(T[:, 3] - (0.0, 0.0, 0.0, 1.0)).max() <= 1e-9:
+            raise InputError(f"{name}: looks transposed, 0 0 0 1 is its last column; write it row by row")
         raise InputError(f"{name}: expected 0 0 0 1 in the last row, got {' '.join(f'{x:g}' for x in T[3])}")
     if np.abs(T).max() > MAX_COORDINATE:
         raise InputError(f"{name}: expected numbers up to {MAX_COORDINATE:g}, got {np.abs(T).max():g}; check the units")

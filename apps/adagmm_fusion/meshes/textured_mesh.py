@@ -9,7 +9,7 @@ import numpy as np
 import open3d as o3d
 
 from adagmm_fusion.errors import OutputError
-from adagmm_fusion.files.atomic_file import replacing
+from adagmm_fusion.files.atomic_file import check_output_file, replacing
 from adagmm_fusion.meshes.glb_file import textured_glb
 
 
@@ -62,7 +62,11 @@ def _save_obj(path: Path, mesh: TexturedMesh) -> list[Path]:
             # What the .obj file names is there before it is.
             written = sorted(Path(folder).iterdir(), key=lambda file: (file.suffix == ".obj", file.suffix == ".mtl"))
             for file in written:
+                check_output_file(path.parent / file.name)
+            for file in written:
                 os.replace(file, path.parent / file.name)
+    except OutputError:
+        raise
     except OSError as problem:
         raise OutputError(f"{path}: cannot be written: {problem.strerror or problem}") from problem
     return [path.parent / file.name for file in written]

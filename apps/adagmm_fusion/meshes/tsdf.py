@@ -19,7 +19,18 @@ BYTES_PER_VOXEL = 4 + 4 + 3 * 4
 TRUNCATION_VOXELS = 8.0
 # Islands of fewer triangles are noise, not surfaces.
 MIN_ISLAND_TRIANGLES = 200
+VOXEL_SIZES_M = (1e-4, 10.0)  # finer ones have no numbers left
 MESH_SUFFIXES = (".ply", ".glb")
+
+
+def check_voxels(voxel_size_m: float, max_memory_mb: float) -> None:
+    """Raise InputError unless there can be such voxels."""
+    for name, value in (("voxel_size", voxel_size_m), ("max_memory", max_memory_mb)):
+        if not 0 < value < float("inf"):
+            raise InputError(f"{name}: expected a positive number, got {value}")
+    if not VOXEL_SIZES_M[0] <= voxel_size_m <= VOXEL_SIZES_M[1]:
+        wanted = f"{VOXEL_SIZES_M[0]:g} to {VOXEL_SIZES_M[1]:g} m"
+        raise InputError(f"voxel_size: expected {wanted}, got {voxel_size_m:g}")
 
 
 class TSDFVolume:
@@ -30,9 +41,7 @@ class TSDFVolume:
     """
 
     def __init__(self, voxel_size_m: float, *, max_depth_m: float, max_memory_mb: float = 2000.0) -> None:
-        for name, value in (("voxel_size", voxel_size_m), ("max_memory", max_memory_mb)):
-            if not 0 < value < float("inf"):
-                raise InputError(f"{name}: expected a positive number, got {value}")
+        check_voxels(voxel_size_m, max_memory_mb)
         self.voxel_size_m, self.max_depth_m, self.max_memory_mb = voxel_size_m, max_depth_m, max_memory_mb
         self.frames = 0
         float32 = o3d.core.float32

@@ -18,7 +18,9 @@ from adagmm_fusion.recordings.frame_sequence import Recording
 from adagmm_o3d import registration_adaptive_gmm
 from adagmm_o3d.errors import AdaGMMError
 from adagmm_o3d.evaluation import PoseErrors, overlap_ratio, pose_errors
+from adagmm_o3d.options import DeviceName
 from adagmm_o3d.result import PointRegistrationResult
+from adagmm_o3d.warm_up import warm_up
 
 Callback = Callable[[dict], None]
 
@@ -74,8 +76,11 @@ class PairOutcome:
         return None if self.estimate is None else self.estimate.transformation
 
 
-def compile_kernels(device: str) -> None:
-    """Register a small cloud, so that no pair's time holds the compilation (half a minute, once per machine)."""
+def compile_kernels(device: DeviceName) -> None:
+    """Register small clouds, so that no pair's time holds the compilation (half a minute, once per machine)."""
+    if device != "cuda":
+        warm_up(paper_rules=False)
+        return
     points = np.random.default_rng(0).normal(size=(1500, 3))
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
     cloud.covariances = o3d.utility.Matrix3dVector(np.tile(np.eye(3), (len(points), 1, 1)))

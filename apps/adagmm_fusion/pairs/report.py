@@ -50,6 +50,7 @@ class Report:
     """A run over a recording.
 
     pairs_asked : how many pairs the run was to register; records are fewer if it was interrupted.
+    notes : what reading the recording left out, and what looks wrong in it, a line each.
     results : other files of the run by what they are, relative to the report.
     """
 
@@ -62,6 +63,7 @@ class Report:
     pairs_asked: int
     records: Sequence[PairRecord]
     interrupted: bool = False
+    notes: Sequence[str] = ()
     results: dict[str, str] = field(default_factory=dict)
 
     @property
@@ -104,6 +106,8 @@ def markdown(report: Report) -> str:
     lines += ["| " + " | ".join(COLUMNS) + " |", "|:--" + "|--:" * (len(COLUMNS) - 2) + "|:--|"]
     lines += ["| " + " | ".join(cell.replace("|", "/") for cell in _row(record)) + " |" for record in report.records]
     lines += ["", NOTES]
+    if report.notes:
+        lines += ["", "## Notes on the recording", "", *(f"- {note}" for note in report.notes)]
     if failures := report.failures():
         lines += ["", "## Failures", "", *(f"- {line}" for line in failures)]
     warned = [(record, text) for record in report.records for text in record.warnings]
@@ -128,6 +132,7 @@ def as_json(report: Report) -> str:
             "format": report.format,
             "sensors": list(report.sensors),
             "calibration": report.calibration,
+            "notes": list(report.notes),
         },
         "interrupted": report.interrupted,
         "summary": {

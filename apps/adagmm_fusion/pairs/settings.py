@@ -3,7 +3,16 @@
 from dataclasses import dataclass
 
 from adagmm_o3d.errors import InputError
+from adagmm_o3d.options import DeviceName
 
+# What makes sense with depth cameras and can be computed with; a number beyond is a slip or another unit.
+LIMITS = {
+    "voxel_size_m": (1e-4, 10.0),
+    "target_points": (3, 10_000_000),
+    "max_depth_m": (0.2, 1000.0),
+    "partner_distance_m": (1e-6, 1000.0),
+    "max_iteration": (1, 100_000),
+}
 STARTS = ("features", "geometry")
 
 
@@ -32,7 +41,7 @@ class Settings:
     partner_distance_m: float | None = None
     start: str = "features"
     max_iteration: int | None = None
-    device: str = "auto"
+    device: DeviceName = "auto"
     max_rotation_error_deg: float = 3.0
     max_translation_error_mm: float = 100.0
     min_overlap: float = 0.3
@@ -44,6 +53,9 @@ class Settings:
             value = getattr(self, name)
             if not (value is None and name in optional) and not (value is not None and 0 < value < float("inf")):
                 raise InputError(f"{name}: expected a positive number, got {value}")
+            least, most = LIMITS.get(name, (0.0, float("inf")))
+            if value is not None and not least <= value <= most:
+                raise InputError(f"{name}: expected {least:g} to {most:g}, got {value:g}")
         if self.start not in STARTS:
             raise InputError(f"start: expected one of {', '.join(STARTS)}, got {self.start!r}")
         if not 0 <= self.min_overlap <= 1:

@@ -10,6 +10,8 @@ files at the same paths; start its workers with --nthreads 1.
 
 from __future__ import annotations
 
+import asyncio
+import logging
 import multiprocessing
 import os
 import pickle
@@ -204,6 +206,7 @@ def _run_on_cluster(function: Callable, tasks: Mapping[str, Any], address: str) 
         from dask.distributed import Client, as_completed
     except ImportError as error:
         raise InputError(f"scheduler: needs dask.distributed ({error}); install the [distributed] extra") from error
+    _check_scheduler(address)
     try:
         client = Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
@@ -223,6 +226,43 @@ def _run_on_cluster(function: Callable, tasks: Mapping[str, Any], address: str) 
             else:
                 left = len(futures) + 1
                 raise SchedulerError(f"scheduler: lost {address} with {left} tasks left; run again to go on")
+
+
+def _check_scheduler(address: str) -> None:
+    """Ask who is there. A client of Dask's that meets something else waits, warns, and prints tracebacks to the end."""
+    from distributed.core import rpc
+
+    async def identity() -> Any:
+        async with rpc(address, timeout=CONNECT_SECONDS) as there:
+            return await there.identity()
+
+    async def asked() -> Any:
+        return await asyncio.wait_for(identity(), CONNECT_SECONDS)
+
+    try:
+        with _quiet("distributed"):
+            answer = asyncio.run(asked())
+    except Exception as error:  # whatever the bytes of another program lead to
+        strange = isinstance(error, MemoryError)  # its first bytes are taken for a length
+        reason = "something else does" if strange else " ".join(str(error).split())[:200] or type(error).__name__
+        raise SchedulerError(f"scheduler: no Dask scheduler answers at {address!r} ({reason})") from error
+    kind = answer.get("type") if isinstance(answer, dict) else None
+    if kind != "Scheduler":
+        raise SchedulerError(
+            f"scheduler: expected a Dask scheduler at {address}, there is a {kind or 'something else'}"
+        )
+
+
+@contextmanager
+def _quiet(name: str) -> Iterator[None]:
+    """Within, a library's logger says nothing."""
+    logger = logging.getLogger(name)
+    handlers, propagates = logger.handlers, logger.propagate
+    logger.handlers, logger.propagate = [logging.NullHandler()], False
+    try:
+        yield
+    finally:
+        logger.handlers, logger.propagate = handlers, propagates
 
 
 class _Call:

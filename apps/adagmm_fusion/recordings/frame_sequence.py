@@ -65,6 +65,7 @@ class Recording:
     """Pairs of frames to register: `len(recording)`, `recording[i]`, `for pair in recording`, loaded at each access.
 
     moving : whether several sensors are on one moving rig; a single sensor is taken to move.
+    notes : what reading left out or took for granted, a line each.
 
     Raises
     ------
@@ -77,6 +78,7 @@ class Recording:
     entries: tuple[FrameEntry, ...]
     pairs: tuple[PairEntry, ...]
     moving: bool = False
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self):
         for name in dict.fromkeys([self.name, *(n for entry in self.entries for n in (entry.sensor, entry.name))]):
@@ -85,7 +87,7 @@ class Recording:
         if not self.pairs:
             raise RecordingError(
                 f"{self.path}: no pair of frames to register, there is {len(self.entries)} frame(s) in all; "
-                "record more, or take a smaller step"
+                "record more, or take a smaller step" + "".join(f"; {note}" for note in self.notes)
             )
 
     @property

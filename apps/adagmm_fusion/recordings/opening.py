@@ -1,9 +1,11 @@
 """Opening a recording, whatever its format."""
 
+from collections import Counter
+from itertools import islice
 from pathlib import Path
 
 from adagmm_fusion.errors import RecordingError
-from adagmm_fusion.formats import FORMATS
+from adagmm_fusion.formats import FORMATS, matching
 from adagmm_fusion.formats.options import ReadOptions
 from adagmm_fusion.recordings.frame_sequence import FrameEntry, FrameSequence, PairEntry, Recording
 from adagmm_fusion.rigs.rig import Rig, load_rig
@@ -46,10 +48,20 @@ def open_recording(
 
 
 def _detect(path: Path) -> str:
-    found = [name for name, module in FORMATS.items() if module.matches(path)]
+    found = matching(path)
     if len(found) == 1:
         return found[0]
     if found:
         raise RecordingError(f"{path}: could be {' or '.join(found)}; say which with format")
-    known = "; ".join(f"{name}: {module.SUMMARY}" for name, module in FORMATS.items())
-    raise RecordingError(f"{path}: not a recording of a known format ({known})")
+    raise RecordingError(f"{path}: not a recording of a known format; {_what_is_there(path)}; see recordings/README.md")
+
+
+def _what_is_there(path: Path) -> str:
+    """The kinds of files at a path, in a few words."""
+    if path.is_file():
+        return f"files ending in {path.suffix!r} are not read by themselves"
+    kinds = Counter(
+        "folders" if child.is_dir() else child.suffix.lower() or child.name for child in islice(path.iterdir(), 10_000)
+    )
+    common = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common(4))
+    return f"it holds {common or 'nothing'}, but no folder of colour and one of depth images"

@@ -9,10 +9,14 @@ from rich.table import Table
 from rich.text import Text
 
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
+from adagmm_fusion.processes.terminal import printable
 from adagmm_fusion.recordings.frame_sequence import FrameEntry, Recording
 from adagmm_o3d.errors import AdaGMMError
 from adagmm_o3d.evaluation import pose_errors
 from adagmm_o3d.lie import se_inverse
+
+# A step that is so much longer than the median one is a gap.
+LONG_STEP = 2.5
 
 
 @dataclass
@@ -94,7 +98,7 @@ def summarize_recording(
 def summary_tables(summary: RecordingSummary) -> tuple[Table, Table]:
     """The recording and its pairs; its sensors, a column each."""
     recording = summary.recording
-    general = _table("recording", str(recording.path))
+    general = _table("recording", printable(recording.path))
     for label, value in (
         ("name", recording.name),
         ("format", recording.format),
@@ -158,6 +162,7 @@ def _sensor_column(sensor: SensorSummary) -> dict[str, str]:
         "median depth of a frame": _range(sensor.median_depths_m, 1.0, "m") or "no depth",
         "missing depth": f"{100.0 * sensor.missing_depth:.1f} %" if sensor.pixels else "not known",
         "time": _duration(sensor.timestamps),
+        "time from frame to frame": _steps(sensor.timestamps),
         "frames with true pose": str(sensor.poses),
     }
 
@@ -178,6 +183,21 @@ def _time_range(seconds: list[float]) -> str:
 
 def _duration(stamps: list[float]) -> str:
     return f"{max(stamps) - min(stamps):.4g} s" if stamps else "not known"
+
+
+def _steps(stamps: list[float]) -> str:
+    """How the times go on, and where they do not: a pause, frames that are missing, a clock that was set."""
+    steps = np.diff(stamps)
+    if not len(steps):
+        return "not known"
+    backwards, usual = steps[steps <= 0], np.median(steps)
+    gaps = steps[steps > LONG_STEP * usual] if usual > 0 else steps[:0]
+    parts = [_time_range(list(steps))]
+    if len(gaps):
+        parts.append(f"pauses or jumps of the clock: {len(gaps)}, the longest {max(gaps):.4g} s")
+    if len(backwards):
+        parts.append(f"clock stands still or is set back: {len(backwards)}, by up to {-min(backwards):.4g} s")
+    return "; ".join(parts)
 
 
 def _ground_truth(summary: RecordingSummary) -> str:

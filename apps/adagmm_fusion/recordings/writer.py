@@ -53,7 +53,7 @@ def convert_recording(
     moments = _moments(recording)
     extrinsics, moving = _extrinsics(recording, moments)
     partial = folder.with_name(f".{folder.name}.partial")
-    with exclusive(partial):
+    with exclusive(partial, follow_links=False):  # what lies in it is taken away
         try:
             for left in partial.iterdir():  # by a run that was killed
                 shutil.rmtree(left) if left.is_dir() else left.unlink()

@@ -14,13 +14,14 @@ and for a script, which gets before, after, every iteration and the curves:
     registration_adaptive_gmm(source, target, 0.05, callback_after_iteration=RegistrationLogger(rec, source, target))
 """
 
+from adagmm_fusion.rerun_arguments import add_rerun_arguments
 from adagmm_fusion.rerun_log.blueprint import dashboard, script_dashboard, send_blueprint
 from adagmm_fusion.rerun_log.fused_recording import fused_blueprint, log_fused_recording
 from adagmm_fusion.rerun_log.iterations import log_estimate_iterations
 from adagmm_fusion.rerun_log.pair import log_pair, log_refused_pair
 from adagmm_fusion.rerun_log.properties import log_recording_properties
 from adagmm_fusion.rerun_log.registration_logger import RegistrationLogger
-from adagmm_fusion.rerun_log.streams import add_rerun_arguments, open_stream
+from adagmm_fusion.rerun_log.streams import check_destination, open_stream
 from adagmm_fusion.rerun_log.summary import SummaryRow, log_recording_summary
 from adagmm_fusion.rerun_log.verdict import Limits
 from adagmm_fusion.rerun_log.views import Eye
@@ -33,6 +34,7 @@ __all__ = [
     "SummaryRow",
     "When",
     "add_rerun_arguments",
+    "check_destination",
     "dashboard",
     "fused_blueprint",
     "log_estimate_iterations",

@@ -19,6 +19,8 @@ import rerun_cli
 from rerun.experimental import ViewerClient
 
 from adagmm_fusion.errors import OutputError, RecordingError
+from adagmm_fusion.files.atomic_file import check_output_file, replacing
+from adagmm_fusion.files.input_file import check_input
 from adagmm_fusion.rerun_log.streams import free_port
 from adagmm_o3d.errors import AdaGMMError, InputError
 
@@ -36,8 +38,7 @@ def headless_viewer(path: Path) -> Iterator[ViewerClient]:
     ------
     RecordingError  if the file is not there or does not load.    OutputError  if the viewer cannot be started.
     """
-    if not Path(path).is_file():
-        raise RecordingError(f"{path}: no such Rerun recording")
+    check_input(Path(path), RecordingError, missing="no such Rerun recording")
     os.environ.setdefault("RUST_LOG", "error")
     try:
         started = ViewerClient.spawn(
@@ -108,6 +109,7 @@ def save_picture(
 
     width : [px], to which the window is scaled.
     """
+    check_output_file(picture)
     with headless_viewer(recording) as viewer:
         if page is not None:
             show_page(viewer, page)
@@ -116,14 +118,14 @@ def save_picture(
         window = screenshot(viewer)
     height = round(window.shape[0] * width / window.shape[1])
     small = cv2.resize(window, (width, height), interpolation=cv2.INTER_AREA)
-    partial = picture.with_name(f".partial.{picture.name}")
     try:
-        written = cv2.imwrite(str(partial), small[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+        complete, data = cv2.imencode(picture.suffix, small[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     except cv2.error as error:
         raise OutputError(f"{picture}: expected a name ending in .jpg or .png") from error
-    if not written:
-        raise OutputError(f"{picture}: cannot be written; does its folder exist?")
-    os.replace(partial, picture)
+    if not complete:
+        raise OutputError(f"{picture}: the picture could not be encoded")
+    with replacing(picture) as temporary:
+        temporary.write_bytes(data.tobytes())
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -16,7 +16,8 @@ from typing import Any
 import rerun as rr
 
 from adagmm_fusion.errors import OutputError
-from adagmm_fusion.processes.interruption import Terminated, exit_code, signals_as_interrupts
+from adagmm_fusion.files.atomic_file import check_output_file, replacing
+from adagmm_fusion.processes.interruption import Terminated, exit_code, heard_afterwards, signals_as_interrupts
 
 APPLICATION_ID = "adagmm_fusion"
 LOOPBACK = "127.0.0.1"
@@ -28,10 +29,24 @@ FLUSH_SECONDS = 120.0
 LEAST_ROOM_BYTES = 1 << 20  # the SDK waits for ever where there is no room for a file's beginning
 
 
-def add_rerun_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add Rerun's own script arguments; `--serve` binds to loopback here, `--port` chooses where."""
-    rr.script_add_args(parser)
-    parser.add_argument("--port", type=int, default=None, help="With --serve: the gRPC port (default: a free one)")
+def check_destination(args: argparse.Namespace) -> None:
+    """Before the work: whether what is logged can go where `args` say, as far as that can be known.
+
+    Raises
+    ------
+    OutputError  if --save names no file that can be written, or --port no port.
+    """
+    if args.save is not None:
+        check_output_file(args.save)
+        try:
+            os.fspath(args.save).encode()
+        except UnicodeEncodeError as error:
+            wanted = "expected a name in UTF-8 for a Rerun recording"
+            raise OutputError(
+                f"{args.save}: {wanted}; give another --save, or --no-rerun where there is that"
+            ) from error
+    if args.port is not None and not 0 <= args.port < 1 << 16:
+        raise OutputError(f"--port: expected a number from 0 to 65535, got {args.port}")
 
 
 @contextlib.contextmanager
@@ -45,7 +60,8 @@ def open_stream(args: argparse.Namespace, name: str, blueprint: Any = None) -> I
     ------
     OutputError  if the file cannot be written, the server not started, or the viewer not reached.
     """
-    rec = rr.RecordingStream(APPLICATION_ID)
+    with heard_afterwards():  # one that is half made prints a traceback when it is thrown away
+        rec = rr.RecordingStream(APPLICATION_ID)
     rec.send_recording_name(name)
     with contextlib.ExitStack() as stack:
         if args.stdout:
@@ -56,7 +72,7 @@ def open_stream(args: argparse.Namespace, name: str, blueprint: Any = None) -> I
         elif args.connect or args.url:
             _connect(rec, args.url or VIEWER_URL, blueprint)
         elif args.save is not None:
-            partial = stack.enter_context(_renamed_when_complete(Path(args.save)))
+            partial = stack.enter_context(_with_room(Path(args.save)))
             try:
                 rec.save(partial, default_blueprint=blueprint)
             except RuntimeError as error:
@@ -95,21 +111,12 @@ def _close(rec: rr.RecordingStream) -> None:
 
 
 @contextlib.contextmanager
-def _renamed_when_complete(path: Path) -> Iterator[Path]:
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_bytes(bytes(LEAST_ROOM_BYTES))
-        os.truncate(partial, 0)
-    except OSError as error:
-        with contextlib.suppress(OSError):  # there may be no folder for it either
-            partial.unlink()
-        raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
-    try:
-        yield partial
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
+def _with_room(path: Path) -> Iterator[Path]:
+    """As `replacing`, a file that is there to be written into by the SDK."""
+    with replacing(path) as temporary:
+        temporary.write_bytes(bytes(LEAST_ROOM_BYTES))
+        os.truncate(temporary, 0)
+        yield temporary
 
 
 @contextlib.contextmanager
@@ -167,10 +174,11 @@ def _wait_for_interrupt(server: subprocess.Popen) -> None:
 
 
 def _stop(server: subprocess.Popen) -> None:
-    """`rerun` is a shim that starts the real program: end the process group, not only the shim."""
+    """`rerun` is a shim that starts the real program: end its process group, where there are such."""
+    groups = hasattr(os, "killpg")
     with contextlib.suppress(ProcessLookupError):
-        os.killpg(server.pid, signal.SIGTERM)
+        os.killpg(server.pid, signal.SIGTERM) if groups else server.terminate()
     with contextlib.suppress(subprocess.TimeoutExpired):
         server.wait(timeout=5.0)
     with contextlib.suppress(ProcessLookupError):
-        os.killpg(server.pid, signal.SIGKILL)
+        os.killpg(server.pid, signal.SIGKILL) if groups else server.kill()

@@ -7,13 +7,16 @@ ROS camera_info, as camera_calibration writes it or `rostopic echo` prints it, o
     distortion_coefficients: {...}       or D (d), a list
     rectification_matrix, projection_matrix, or R, P (r, p): where they say so, the two cameras' relative pose [m]
 
-OpenCV FileStorage, under the names its samples use; the second camera of a stereo file has the names with a 2:
-    camera_matrix, cameraMatrix, K, or M1, cameraMatrix1, K1                             3x3
-    distortion_coefficients, distCoeffs, D, or D1, distCoeffs1                           optional
-    image_width, image_height or image_size, imageSize (width, height)                  optional
-    R, T (in a stereo file)                                                              x2 = R x1 + T
+OpenCV FileStorage, under the names its samples and iai_kinect2 use, whatever their case and underscores; the second
+camera of a stereo file has the names with a 2:
+    camera_matrix, K, or M1, camera_matrix1, K1                                          3x3
+    distortion_coefficients, dist_coeffs, D, or D1, dist_coeffs1, and the like           optional
+    image_width, image_height or image_size (width, height)                              optional
+    R, T, or rotation, translation (in a stereo file)                                    x2 = R x1 + T
+A name that speaks of a distortion and is none of these is refused: coefficients are never left out in silence.
 """
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,17 +24,24 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adagmm_fusion.errors import RigError
-from adagmm_fusion.files.input_file import read_input
-from adagmm_fusion.files.opencv_nodes import read_nodes
+from adagmm_fusion.files.input_file import check_input, read_input
+from adagmm_fusion.files.opencv_nodes import OpenCVNodes, plain_name, read_nodes
 from adagmm_fusion.files.strict_yaml import Item, read_yaml
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, checked_rigid_transformation
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.lie import se_inverse
 
 ROS_MODELS = ("plumb_bob", "rational_polynomial")
-MATRIX_NAMES = ("camera_matrix", "cameraMatrix", "K")
-DISTORTION_NAMES = ("distortion_coefficients", "distCoeffs", "D")
-SIZE_NAMES = ("image_size", "imageSize")
+# Names of OpenCV's files, small and without underscores.
+MATRIX_NAMES = ("cameramatrix", "intrinsicmatrix", "k")
+DISTORTION_NAMES = (
+    "distortioncoefficients", "distortioncoeffs", "distortioncoeff", "distortion", "distcoeffs", "distcoeff",
+    "distcoefs", "distcoef", "cameradistortion", "dist", "d",
+)  # fmt: skip
+SIZE_NAMES = ("imagesize", "imagewidth", "imageheight")
+ROTATION_NAMES, TRANSLATION_NAMES = ("r", "rotation"), ("t", "translation")
+# What such a name may also be called; one that is not read must not be passed over.
+SPEAKS_OF_DISTORTION = re.compile(r"dist(?!ance)|coeff|(^|[^a-z])(k[1-6c]|[kp]_?[1-6]|d[0-9]*)$", re.IGNORECASE)
 OPENCV_MARKS = (b"%YAML:1.0", b"opencv_storage", b"opencv-matrix")
 
 
@@ -63,9 +73,9 @@ def read_camera(path: str | Path, number: int = 1, size: tuple[int, int] | None 
 
 def read_stereo_pose(path: str | Path, metres_per_unit: float) -> np.ndarray:
     """T_first_second (4, 4) [m] from R and T of an OpenCV file, whose T is in units of `metres_per_unit`."""
-    nodes = _nodes(Path(path), ("R", "T"))
-    R, t = nodes.get("R", np.empty(0)), nodes.get("T", np.empty(0))
-    if R.shape != (3, 3) or t.size != 3:
+    nodes = _nodes(Path(path), (*ROTATION_NAMES, *TRANSLATION_NAMES))
+    R, t = nodes.first(ROTATION_NAMES), nodes.first(TRANSLATION_NAMES)
+    if R is None or t is None or R.shape != (3, 3) or t.size != 3:
         raise RigError(f"{path}: expected R (3x3) and T (3) of a stereo calibration")
     T_second_first = np.eye(4)
     T_second_first[:3, :3], T_second_first[:3, 3] = R, metres_per_unit * t.ravel()
@@ -85,30 +95,35 @@ def _intrinsics(path: Path, size: tuple[int, int], K: ArrayLike, distortion: Arr
         raise RigError(f"{path}: {problem}") from problem
 
 
-def _nodes(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    read_input(path, RigError, count=1)  # it is there, and a file
+def _nodes(path: Path, names: tuple[str, ...]) -> OpenCVNodes:
+    check_input(path, RigError)
     nodes = read_nodes(path, names)
     if nodes is None:
-        raise RigError(f"{path}: OpenCV cannot read it; it is damaged or something else")
+        raise RigError(
+            f"{path}: OpenCV cannot read it, or a matrix in it has no numbers; it is damaged or something else"
+        )
     return nodes
 
 
 def _opencv_camera(path: Path, number: int, size: tuple[int, int] | None) -> PinholeIntrinsics:
-    matrix_names = (*MATRIX_NAMES, *(f"{name}{number}" for name in ("M", "cameraMatrix", "K")))
-    distortion_names = (*DISTORTION_NAMES, *(f"{name}{number}" for name in ("D", "distCoeffs")))
-    nodes = _nodes(path, (*matrix_names, *distortion_names, "image_width", "image_height", *SIZE_NAMES))
-
-    def first(names: tuple[str, ...]) -> np.ndarray | None:
-        return next((nodes[name] for name in names if name in nodes), None)
-
-    K = first(matrix_names)
+    matrix_names = (*MATRIX_NAMES, *(f"{name}{number}" for name in ("m", *MATRIX_NAMES)))
+    distortion_names = (*DISTORTION_NAMES, *(f"{name}{number}" for name in DISTORTION_NAMES))
+    nodes = _nodes(path, (*matrix_names, *distortion_names, *SIZE_NAMES))
+    K = nodes.first(matrix_names)
     if K is None:
-        names = ", ".join(MATRIX_NAMES)
-        raise RigError(f"{path}: expected a camera matrix called {names} or M{number}, got none")
-    distortion = first(distortion_names)
-    both = first(SIZE_NAMES)
-    if both is None and "image_width" in nodes and "image_height" in nodes:
-        both = np.array([nodes["image_width"], nodes["image_height"]])
+        raise RigError(f"{path}: expected a camera matrix called camera_matrix, cameraMatrix, K or M{number}, got none")
+    distortion = nodes.first(distortion_names)
+    if distortion is None:
+        of_others = {f"{name}{other}" for name in DISTORTION_NAMES for other in range(10)}
+        unread = [k for k in nodes.keys if plain_name(k) not in of_others and SPEAKS_OF_DISTORTION.search(k)]
+        if unread:
+            raise RigError(
+                f"{path}: {unread[0]}: is it the lens distortion? It is not read under this name; "
+                "call it distortion_coefficients (OpenCV's order) or take it out"
+            )
+    both = nodes.first(SIZE_NAMES[:1])
+    if both is None and all(name in nodes.numbers for name in SIZE_NAMES[1:]):
+        both = np.array([nodes.numbers[name] for name in SIZE_NAMES[1:]])
     if both is not None:
         if both.shape != (2,) or not np.isfinite(both).all():
             raise RigError(f"{path}: expected an image size of two numbers, got {both.tolist()}")

@@ -1,43 +1,60 @@
 """Finished registrations on disk, one JSON line each, so that an interrupted run goes on where it was.
 
-The first line says of what: {"format": "adagmm-edges", "version": 1, "of": {...}}; every other one is an edge. A last
-line that was cut off is not there.
+The first line says of what: {"format": "adagmm-edges", "version": 2, "of": {...}}; every other one is an edge. A last
+line that was cut off is not there. The file is read as if somebody had written it who means no good.
 """
 
-import json
+import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from adagmm_fusion.errors import OutputError
-from adagmm_fusion.files.atomic_file import write_text
+from adagmm_fusion.files.atomic_file import check_output_file, write_text
+from adagmm_fusion.files.input_file import read_input_text
+from adagmm_fusion.files.journal_lines import open_for_appending, sealed, unsealed
+from adagmm_fusion.frames.rgbd import checked_rigid_transformation
 from adagmm_fusion.sequence.edges import Edge
+from adagmm_o3d.errors import InputError
 
-FORMAT, VERSION = "adagmm-edges", 1
+FORMAT, VERSION = "adagmm-edges", 2
+# Of an information matrix, as a share of its largest entry: what rounding leaves of symmetry and of no eigenvalue.
+ROUNDING = 1e-9
 
 
 class EdgeFile:
-    """The edges of one recording, found again by frame indices. `of` is what they depend on, as plain JSON data.
+    """The edges of one recording, found again by frame indices.
+
+    of : what they depend on, as plain JSON data: all of it, else a registration is taken for one that it is not.
+    frames : how many frames there are, for their indices.
 
     Raises
     ------
     OutputError  if the file is there and of something else or damaged, or cannot be written.
     """
 
-    def __init__(self, path: Path, of: dict) -> None:
+    def __init__(self, path: Path, of: dict[str, Any], frames: int) -> None:
         self.path = Path(path)
-        header = json.dumps({"format": FORMAT, "version": VERSION, "of": of}, sort_keys=True)
+        check_output_file(self.path)
         lines = self._lines()
-        if lines and lines[0] != header:
-            raise OutputError(
-                f"{self.path}: holds registrations of another recording, or made otherwise; give another --output"
-            )
-        try:
-            self.edges = [_edge(json.loads(line)) for line in lines[1:]]
-        except (ValueError, KeyError, TypeError) as problem:
-            raise OutputError(f"{self.path}: is damaged ({problem}); delete it to start anew") from problem
-        self._found = {(edge.source, edge.target): edge for edge in self.edges}
-        write_text(self.path, "\n".join([header, *lines[1:]]) + "\n")
+        if lines:
+            self._check_header(lines[0], of)
+        self.edges: list[Edge] = []
+        self._found: dict[tuple[int, int], Edge] = {}
+        kept: dict[str, None] = {}
+        for number, line in enumerate(lines[1:], 2):
+            if line in kept:
+                continue
+            kept[line] = None
+            try:
+                edge = _edge(unsealed(line), frames)
+                if (edge.source, edge.target) in self._found:
+                    raise ValueError("these frames have an edge already")
+            except (ValueError, KeyError, TypeError) as problem:
+                raise self._damaged(number, problem) from problem
+            self._keep(edge)
+        write_text(self.path, "\n".join([sealed(_header(of)), *kept]) + "\n")
 
     def find(self, source: int, target: int) -> Edge | None:
         """The edge between two frames, if it was registered."""
@@ -54,28 +71,68 @@ class EdgeFile:
             "information": None if edge.information is None else edge.information.tolist(),
         }
         try:
-            with open(self.path, "a", encoding="utf-8") as file:
-                file.write(json.dumps(values) + "\n")
+            with os.fdopen(open_for_appending(self.path), "ab") as file:
+                file.write(sealed(values).encode() + b"\n")
         except OSError as problem:
             raise OutputError(f"{self.path}: cannot be written: {problem.strerror}") from problem
+        self._keep(edge)
+
+    def _keep(self, edge: Edge) -> None:
         self.edges.append(edge)
         self._found[edge.source, edge.target] = edge
 
     def _lines(self) -> list[str]:
-        try:
-            text = self.path.read_text(encoding="utf-8")
-        except FileNotFoundError:
+        if not self.path.exists():
             return []
-        except (OSError, UnicodeDecodeError) as problem:
-            raise OutputError(f"{self.path}: cannot be read: {problem}") from problem
+        try:
+            text = read_input_text(self.path, InputError)
+        except InputError as problem:
+            raise OutputError(str(problem)) from problem
         return text.split("\n")[:-1]  # what follows the last line's end was cut off
 
+    def _check_header(self, line: str, of: dict[str, Any]) -> None:
+        try:
+            found, wanted = unsealed(line), _header(of)
+        except ValueError as problem:
+            raise self._damaged(1, problem) from problem
+        if found == wanted:
+            return
+        was = found.get("of")
+        other = [key for key in of if not isinstance(was, dict) or was.get(key) != of[key]]
+        raise OutputError(
+            f"{self.path}: holds registrations of another recording, or made otherwise (another "
+            f"{', another '.join(other) or 'version of the file'}); delete it, or give another --output"
+        )
 
-def _edge(values: dict) -> Edge:
-    matrices = {
-        key: None if values[key] is None else np.array(values[key], dtype=float)
-        for key in ("transformation", "information")
-    }
-    return Edge(
-        values["source"], values["target"], loop_closure=values["loop_closure"], reason=values["reason"], **matrices
-    )
+    def _damaged(self, number: int, problem: Exception) -> OutputError:
+        return OutputError(f"{self.path}:{number}: is damaged ({problem}); delete it to start anew")
+
+
+def _header(of: dict[str, Any]) -> dict[str, Any]:
+    return {"format": FORMAT, "version": VERSION, "of": of}
+
+
+def _edge(values: dict[str, Any], frames: int) -> Edge:
+    """The edge of a record. Raises ValueError, KeyError or TypeError if it is none between so many frames."""
+    source, target, loop_closure, reason = (values[key] for key in ("source", "target", "loop_closure", "reason"))
+    for index in (source, target):
+        if type(index) is not int or not 0 <= index < frames:
+            raise ValueError(f"expected frames from 0 to {frames - 1}, got {index!r}")
+    if type(loop_closure) is not bool or not isinstance(reason, str):
+        raise ValueError("expected loop_closure true or false and reason a text")
+    if reason:
+        if values["transformation"] is not None or values["information"] is not None:
+            raise ValueError("expected no pose where there is a reason against it")
+        return Edge(source, target, None, None, loop_closure, reason)
+    T = checked_rigid_transformation(values["transformation"], "transformation")
+    return Edge(source, target, T, _information(values["information"]), loop_closure)
+
+
+def _information(values: Any) -> np.ndarray:
+    information = np.array(values, dtype=np.float64)
+    if information.shape != (6, 6) or not np.isfinite(information).all():
+        raise ValueError("information: expected (6, 6) finite numbers")
+    rounding = ROUNDING * np.abs(information).max()
+    if np.abs(information - information.T).max() > rounding or np.linalg.eigvalsh(information)[0] < -rounding:
+        raise ValueError("information: expected a symmetric matrix without negative eigenvalues")
+    return information

@@ -21,6 +21,7 @@ DEFAULT_SEED = 7
 DEPTH_SCALE = 1000.0
 SECONDS_BETWEEN_PAIRS = 2.0
 JPEG_QUALITY = 92
+MAX_PAIRS = 100_000
 
 
 def look_at(eye: ArrayLike, point: ArrayLike, roll_deg: float) -> np.ndarray:
@@ -88,8 +89,8 @@ def simulate_recording(
     OutputError  if a file cannot be written.
     """
     folder = Path(folder)
-    if pairs < 1:
-        raise InputError(f"pairs: expected at least 1, got {pairs}")
+    if not 1 <= pairs <= MAX_PAIRS:
+        raise InputError(f"pairs: expected 1 to {MAX_PAIRS}, got {pairs}")
     if seed < 0:
         raise InputError(f"seed: expected 0 or more, got {seed}")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):

@@ -1,0 +1,36 @@
+"""Compile the CPU kernels ahead: `python -m adagmm_o3d.warm_up`, when an image is built or before a first registration.
+
+What is compiled stays in Numba's cache: beside the installed package where that can be written, else in the user's
+cache folder, or where NUMBA_CACHE_DIR says. Kernels beside the package serve everybody who uses it from then on, also
+where nothing can be written. They are for the kind of processor that compiled them; another one compiles its own.
+"""
+
+from typing import get_args
+
+import numpy as np
+
+from adagmm_o3d.array_registration import register_points
+from adagmm_o3d.options import SigmaRuleName, TransformationEstimationForAdaptiveGMM
+
+# A cloud whose points all meet, and one of which only near ones do.
+FEW, MANY = 60, 1500
+
+
+def warm_up(*, paper_rules: bool = True) -> None:
+    """Register small clouds in each way that has kernels of its own; half a minute where nothing is compiled yet.
+
+    paper_rules : those of the paper's own `sigma_rule`s as well.
+    """
+    points = np.random.default_rng(0).normal(size=(MANY, 3))
+    few = points[:FEW]
+    result = register_points(points + 0.1, points, device="cpu")
+    result.find_partners()
+    result.assess()
+    register_points(few, few, init="global", device="cpu")
+    for rule in get_args(SigmaRuleName) if paper_rules else ():
+        options = TransformationEstimationForAdaptiveGMM(sigma_rule=rule)
+        register_points(few, few, estimation_method=options, device="cpu")
+
+
+if __name__ == "__main__":
+    warm_up()

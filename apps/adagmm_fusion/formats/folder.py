@@ -1,0 +1,173 @@
+"""Any folder of colour and depth images with a calibration.
+
+    color/, rgb/, images/ ...        .png, .jpg; or colour and depth side by side, the names of depth saying depth
+    depth/ ...                       .png, .tiff, .exr, .npy, .pgm; partners by equal names, numbers or times
+    intrinsics.txt, K.txt ...        also .json and .yaml, here or in a folder of such a name; see camera_files.py. With
+                                     depth in its name it is the depth camera's, with color or rgb the colour camera's
+    depth_to_color.txt               optional, 4x4, metres: from the depth to the colour camera (or color_to_depth)
+    poses/, trajectory.txt ...       optional; see pose_lists.py
+
+Whole numbers of depth are millimetres and others metres, unless a calibration says depth_scale. Depth of another size,
+or of another camera whose calibration is there, is brought onto the colour image. Poses are camera to world or world to
+camera, as their file's name says, else as the depth images agree better. A rig file replaces the intrinsics; one with
+the sensors `color` and `depth` calibrates both cameras.
+"""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.files.image_files import inside, read_color, read_depth
+from adagmm_fusion.formats.camera_files import CameraFile, find_camera_files, read_camera_file
+from adagmm_fusion.formats.image_lists import ImageLists, find_images, pair_images
+from adagmm_fusion.formats.listed_frames import ListedFrame, recording_of_frames
+from adagmm_fusion.formats.options import ReadOptions, unpaired_notes
+from adagmm_fusion.formats.pose_lists import PoseList, find_poses
+from adagmm_fusion.formats.text_table import parse_pose, read_matrix
+from adagmm_fusion.frames.pose_readings import AS_GIVEN, READINGS, PosedPair, best_reading
+from adagmm_fusion.recordings.frame_sequence import Recording
+from adagmm_o3d.errors import AdaGMMError
+from adagmm_o3d.lie import se_inverse
+
+NAME = "folder"
+SUMMARY = "any folder of colour and depth images with intrinsics"
+SENSOR = "camera"
+MILLIMETRES_PER_METRE = 1000.0
+DEPTH_TO_COLOR = re.compile(r"depth_?(2|to)_?(colou?r|rgb)|T_(colou?r|rgb)_depth", re.IGNORECASE)
+COLOR_TO_DEPTH = re.compile(r"(colou?r|rgb)_?(2|to)_?depth|T_depth_(colou?r|rgb)", re.IGNORECASE)
+# Pairs that are looked at to find which way round the poses are.
+PAIRS = 3
+
+
+def matches(folder: Path) -> bool:
+    """Whether there are both kinds of images: true of most formats' folders too, so it is asked last."""
+    try:
+        return folder.is_dir() and find_images(folder) is not None
+    except OSError:  # a folder in it that may not be listed
+        return False
+
+
+def read(folder: Path, options: ReadOptions) -> Recording:
+    lists = find_images(folder)
+    if lists is None:
+        raise RecordingError(f"{folder}: expected colour and depth images, in folders such as color/ and depth/")
+    images = pair_images(lists)
+    for path in (path for _, *paths in images for path in paths):
+        inside(folder, str(path.relative_to(folder)), str(folder))
+    notes = list(_unpaired(folder, lists, images))
+    color_size, depth = read_color(images[0][1]).shape[1::-1], read_depth(images[0][2])
+    color, of_depth = _cameras(folder)
+    if color is None and options.rig is None:
+        raise RecordingError(
+            f"{folder}: not a recording of a known format, but nearly: {len(images)} frames, colour in "
+            f"{_place(images[0][1], folder)}, depth in {_place(images[0][2], folder)}, and no intrinsics; add "
+            "intrinsics.json with width, height, fx, fy, cx, cy, or give a rig file"
+        )
+    said = next((c.depth_scale for c in (of_depth, color) if c is not None and c.depth_scale is not None), None)
+    depth_scale = said or (MILLIMETRES_PER_METRE if depth.dtype == np.uint16 else 1.0)
+    if said is None and options.rig is None:
+        notes.append(f"depth is taken for {'millimetres' if depth.dtype == np.uint16 else 'metres'}, no file says so")
+    frames = [
+        ListedFrame(
+            name,
+            color_path,
+            depth_path,
+            None if color is None else color.intrinsics((color_size, depth.shape[::-1])),
+            depth_scale,
+            depth_intrinsics=None if of_depth is None else of_depth.intrinsics((depth.shape[::-1],)),
+            T_color_depth=_depth_to_color(folder),
+        )
+        for name, color_path, depth_path in images
+    ]
+    poses = find_poses(folder, [path for *_, path in images])
+    if poses is not None:
+        frames, note = _posed(folder, frames, poses, options)
+        notes.append(note)
+    return recording_of_frames(folder, NAME, SENSOR, frames, options, notes)
+
+
+def _unpaired(folder: Path, lists: ImageLists, images: list[tuple[str, Path, Path]]) -> tuple[str, ...]:
+    names = {path: name for name, *paths in images for path in paths}
+    colors, depths = (
+        {names.get(path, f"{path.parent.name}/{path.name}") for path in paths} for paths in (lists.colors, lists.depths)
+    )
+    return unpaired_notes(colors, depths, folder)
+
+
+def _place(path: Path, folder: Path) -> str:
+    return f"{path.parent.name}/" if path.parent != folder else "the folder itself"
+
+
+def _cameras(folder: Path) -> tuple[CameraFile | None, CameraFile | None]:
+    """The colour camera's calibration, or the only one; and the depth camera's, where it has its own."""
+    color: CameraFile | None = None
+    depth: CameraFile | None = None
+    other: CameraFile | None = None
+    for path in find_camera_files(folder):
+        if DEPTH_TO_COLOR.search(path.name) or COLOR_TO_DEPTH.search(path.name):
+            continue
+        if (camera := read_camera_file(path)) is None:
+            continue
+        name = path.stem.lower()
+        if "depth" in name and "color" not in name:
+            depth = depth or camera
+        elif "color" in name or "rgb" in name:
+            color = color or camera
+        else:
+            other = other or camera
+    color = color or other
+    return (depth, None) if color is None else (color, depth)
+
+
+def _depth_to_color(folder: Path) -> np.ndarray | None:
+    for path in sorted(folder.glob("*")) + sorted(folder.glob("*/*.txt")):
+        if path.suffix.lower() not in (".txt", ".csv"):
+            continue
+        for names, invert in ((DEPTH_TO_COLOR, False), (COLOR_TO_DEPTH, True)):
+            if names.search(path.stem):
+                path = inside(folder, str(path.relative_to(folder)), str(folder))
+                T = parse_pose(read_matrix(path, 4, 4), str(path))
+                return se_inverse(T) if invert else T
+    return None
+
+
+def _posed(
+    folder: Path, frames: list[ListedFrame], poses: PoseList, options: ReadOptions
+) -> tuple[list[ListedFrame], str]:
+    """The frames with their T_world_camera, and how the poses were read."""
+    given = [replace(frame, T_world_camera=T) for frame, T in zip(frames, poses.by_frame, strict=True)]
+    file = poses.path.relative_to(folder)
+    if poses.to_world is not None:
+        reading, why = (AS_GIVEN if poses.to_world else "the inverse"), "by their name"
+    else:
+        recording = recording_of_frames(folder, NAME, SENSOR, given, options)
+        best = best_reading(_pairs(recording))
+        reading = best.name
+        why = f"so {100 * best.share:.0f} % of the points agree between depth images"
+        if reading != AS_GIVEN:
+            why += f", as camera to world {100 * best.share_as_given:.0f} %"
+    read_as = "camera to world" if reading == AS_GIVEN else f"{reading} of camera to world"
+    posed = [
+        replace(f, T_world_camera=None if f.T_world_camera is None else READINGS[reading](f.T_world_camera))
+        for f in given
+    ]
+    return posed, f"poses of {file} are read as {read_as}: {why}"
+
+
+def _pairs(recording: Recording) -> list[PosedPair]:
+    entries = recording.entries
+    known = [i for i, entry in enumerate(entries) if entry.T_world_camera is not None]
+    pairs = []
+    for start in np.unique(np.linspace(0, max(len(known) - 2, 0), PAIRS).astype(int)):
+        two = known[start : start + 2]
+        if len(two) < 2:
+            continue
+        target, source = (entries[i] for i in two)
+        try:
+            pairs.append(PosedPair(source.load(), target.load(), source.T_world_camera, target.T_world_camera))
+        except AdaGMMError:
+            continue  # the frame says so when it is asked for
+    return pairs

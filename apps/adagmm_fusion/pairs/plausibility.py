@@ -1,0 +1,102 @@
+"""What looks wrong in a recording before anything is registered: a line for each, with the likely cause."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from adagmm_fusion.frames.depth_checks import UNIT_MISTAKES, color_offset, looks_like_disparity, unit_mistake
+from adagmm_fusion.frames.pose_readings import CLEARLY, CLEARLY_MORE, LEAST_SHARE, agreeing_share, sampled_points
+from adagmm_fusion.frames.rgbd import RGBDFrame, RGBDPair
+from adagmm_fusion.pairs.mirrored import looks_mirrored
+from adagmm_fusion.recordings.frame_sequence import Recording
+from adagmm_fusion.rigs.extrinsics import extrinsics_notes
+from adagmm_o3d.errors import AdaGMMError
+
+# Frames of a sensor, and pairs of two, that are looked at.
+FRAMES, PAIRS = 4, 3
+
+
+def recording_warnings(recording: Recording) -> tuple[str, ...]:
+    """A line for each thing that looks wrong; loads a few frames. What cannot be read is left to whoever needs it."""
+    warnings = []
+    for sensor in recording.sensors:
+        own = [entry for entry in recording.entries if entry.sensor == sensor]
+        frames = list(_loaded([own[i].load for i in _spread(len(own), FRAMES)]))
+        warnings += [f"{sensor}: {text}" for text in sensor_warnings(frames)]
+    pairs = list(_loaded([lambda i=i: recording[i] for i in _spread(len(recording), PAIRS)]))
+    for pair in pairs:
+        if pair.source.sensor != pair.target.sensor and looks_mirrored(pair.source, pair.target):
+            names = f"{pair.source.sensor} or {pair.target.sensor}"
+            warnings.append(f"{names} looks mirrored: their features agree only if one image is flipped left to right")
+            break
+    scale = None if any("depth_scale" in text for text in warnings) else _scale_warning(pairs)
+    return (*warnings, *extrinsics_notes(recording), *([] if scale is None else [scale]))
+
+
+def sensor_warnings(frames: Sequence[RGBDFrame]) -> list[str]:
+    """What looks wrong in some frames of one sensor."""
+    if not frames:
+        return []
+    warnings = []
+    if looks_like_disparity(frames):
+        warnings.append(
+            "the depth looks like disparity: planes are straight in it; depth is focal length x baseline / it"
+        )
+    elif (times := unit_mistake(frames)) is not None:
+        scale = frames[0].depth_scale
+        warnings.append(
+            f"the depth looks {_times(times)}: its steps are not those of structured light at this depth; "
+            f"depth_scale {scale:g} should be {scale * times:g}"
+        )
+    offset = color_offset(frames)
+    if offset is not None and offset.mirrored:
+        warnings.append("the colour image looks mirrored against the depth, left to right")
+    elif offset is not None:
+        length = np.hypot(offset.right_px, offset.down_px)
+        warnings.append(
+            f"the colour looks {length:.0f} px off its depth ({offset.right_px:+d} px to the right, "
+            f"{offset.down_px:+d} px down); register the depth to the colour"
+        )
+    return warnings
+
+
+def _scale_warning(pairs: Sequence[RGBDPair]) -> str | None:
+    """Whether the known poses say that the depth has another unit: then it agrees only if it is scaled."""
+    known = [pair for pair in pairs if pair.T_target_source is not None and np.any(pair.T_target_source[:3, 3])]
+    if not known:
+        return None
+
+    def share(times: float) -> float:
+        scaled = [(_scaled(pair.source, times), _scaled(pair.target, times), pair.T_target_source) for pair in known]
+        return float(np.mean([agreeing_share(sampled_points(s), t, T) for s, t, T in scaled]))
+
+    given = share(1.0)
+    shares = {times: share(times) for times in UNIT_MISTAKES}
+    best = max(shares, key=lambda times: shares[times])
+    if shares[best] < max(CLEARLY * given, given + CLEARLY_MORE, LEAST_SHARE):
+        return None
+    return (
+        f"the depth looks {_times(best)}: by the known poses {100 * shares[best]:.0f} % of the points agree if that is "
+        f"put right, as it is {100 * given:.0f} %; check depth_scale"
+    )
+
+
+def _scaled(frame: RGBDFrame, times: float) -> RGBDFrame:
+    return replace(frame, depth_scale=frame.depth_scale * times)
+
+
+def _times(times: float) -> str:
+    return f"{times:g} times too large" if times > 1 else f"{1 / times:g} times too small"
+
+
+def _spread(count: int, most: int) -> list[int]:
+    return [int(i) for i in np.unique(np.linspace(0, count - 1, most).round())]
+
+
+def _loaded(loads: Sequence[Callable]) -> Iterator:
+    for load in loads:
+        try:
+            yield load()
+        except AdaGMMError:
+            continue

@@ -1,0 +1,302 @@
+"""The generic reader: folders of colour, depth and a calibration as people lay them out, each with one oddity."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from depth_scene import camera_pose, render, write_tum
+from folder_layouts import OPENGL, depth_of, write_color, write_depth, write_json
+
+from adagmm_fusion.clouds.building import dense_cloud
+from adagmm_fusion.commands.run_many import recordings_in
+from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.files.atomic_file import write_text
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics
+from adagmm_fusion.recordings.opening import open_recording
+from adagmm_fusion.rigs.rig import Rig, SensorCalibration
+
+SMALL = PinholeIntrinsics(160, 120, 140.0, 141.0, 79.0, 60.5)
+POSES = [camera_pose(yaw, (0.05 * i, 0.1 * i, 1.2 + 0.02 * i)) for i, yaw in enumerate((-12.0, 2.0, 14.0))]
+MATRIX = "\n".join(" ".join(map(str, row)) for row in SMALL.matrix())
+
+
+def layout(folder, color="color/{i:06d}.png", depth="depth/{i:06d}.png", K=("K.txt", MATRIX), poses=POSES):
+    for i, pose in enumerate(poses):
+        write_color(folder / color.format(i=i, t=1e9 + i / 30), SMALL, pose)
+        write_depth(folder / depth.format(i=i, t=1e9 + i / 30 + 0.004), SMALL, pose, 1000)
+    if K is not None:
+        write_text(folder / K[0], K[1])
+    return folder
+
+
+def is_the_room(recording, intrinsics=SMALL, poses=POSES):
+    assert recording.format == "folder" and len(recording.entries) == len(poses)
+    for entry, pose in zip(recording.entries, poses, strict=True):
+        color, depth = render(intrinsics, pose)
+        frame = entry.load()
+        assert frame.intrinsics == intrinsics
+        assert np.array_equal(frame.color, color)
+        metres = frame.depth_m()
+        metres[:8, :8] = depth[:8, :8]
+        np.testing.assert_allclose(metres, depth, rtol=1e-6, atol=6e-4)
+
+
+NAMES = [
+    ("color/{i:06d}.png", "depth/{i:06d}.png"),
+    ("rgb/rgb_{i}.png", "depth/depth_{i:05d}.png"),
+    ("images/{t:.6f}.png", "depth_aligned/{t:.6f}.png"),
+    ("rgb_raw/{i}.png", "depth_raw/{i}.png"),
+    ("frame-{i:06d}.color.png", "frame-{i:06d}.depth.png"),
+    ("{i:03d}_color.png", "{i:03d}_depth.png"),
+    ("scan_{i}.png", "scan_{i}_depth.png"),
+]
+
+
+@pytest.mark.parametrize(("color", "depth"), NAMES)
+def test_images_are_found_and_paired_whatever_their_names(tmp_path, color, depth):
+    recording = open_recording(layout(tmp_path, color, depth))
+    is_the_room(recording)
+    assert recording.notes == ("depth is taken for millimetres, no file says so",)
+
+
+def test_numbers_are_sorted_as_numbers_and_what_has_no_partner_is_left_out(tmp_path):
+    layout(tmp_path, "rgb/{i}.png", "depth/{i}.png", poses=POSES * 4)
+    (tmp_path / "rgb" / "7.png").unlink()
+    recording = open_recording(tmp_path)
+    assert [entry.name for entry in recording.entries] == ["0", "1", "2", "3", "4", "5", "6", "8", "9", "10", "11"]
+    assert recording.notes[0] == "left out, without their colour image: depth/7.png"
+
+
+JSON = {"width": 160, "height": 120}
+CAMERAS = {
+    "3x3": ("intrinsics.txt", MATRIX),
+    "3x3 with commas and brackets": ("camera_matrix.csv", f"[{MATRIX.replace(' ', ', ')}]"),
+    "4x4": ("intrinsic/intrinsic_color.txt", "140 0 79 0\n0 141 60.5 0\n0 0 1 0\n0 0 0 1\n"),
+    "four numbers": ("K.txt", "140 141 79 60.5"),
+    "lines of names": ("camera.txt", "fx = 140\nfy = 141\ncx: 79\ncy: 60.5\n"),
+    "nested json": ("calib.json", json.dumps({"rgb": {"fx": 140, "fy": 141, "ppx": 79, "ppy": 60.5}, **JSON})),
+    "rows": ("k.json", json.dumps({"K": SMALL.matrix().tolist()})),
+    "columns": ("camera_intrinsics.json", json.dumps({"intrinsic_matrix": SMALL.matrix().T.ravel().tolist(), **JSON})),
+    "ros": (
+        "camera_info.yaml",
+        f"image_width: 160\nimage_height: 120\nK: {SMALL.matrix().ravel().tolist()}\nD: [0.0]\n",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_intrinsics_in_whatever_file(tmp_path, name):
+    is_the_room(open_recording(layout(tmp_path, K=CAMERAS[name])))
+
+
+def test_distortion_and_depth_scale_of_a_json_file_count(tmp_path):
+    values = {"fl_x": 140, "fl_y": 141, "cx": 79, "cy": 60.5, "w": 160, "h": 120, "k1": 0.1, "p1": 0.01}
+    write_json(layout(tmp_path, K=None) / "camera.json", values | {"depth_scale": 0.001})
+    recording = open_recording(tmp_path)
+    assert recording.entries[0].load().intrinsics.distortion == (0.1, 0.0, 0.01, 0.0)
+    assert recording.entries[0].load().depth_scale == 1000.0 and recording.notes == ()
+    write_json(tmp_path / "camera.json", values | {"lens_distortion": [0.1]})
+    with pytest.raises(RecordingError, match="lensdistortion: this lens distortion is not understood"):
+        open_recording(tmp_path)
+
+
+def test_depth_as_metres(tmp_path):
+    layout(tmp_path)
+    for path in sorted((tmp_path / "depth").iterdir()):
+        np.save(path.with_suffix(".npy"), cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(np.float32) / 1000)
+        path.unlink()
+    recording = open_recording(tmp_path)
+    is_the_room(recording)
+    assert recording.notes == ("depth is taken for metres, no file says so",)
+
+
+def pose_rows(poses, form):
+    return "\n".join(form(i, np.asarray(T)) for i, T in enumerate(poses)) + "\n"
+
+
+def quaternion(T):
+    from scipy.spatial.transform import Rotation
+
+    return " ".join(map(str, (*T[:3, 3], *Rotation.from_matrix(T[:3, :3]).as_quat())))
+
+
+def numbers(T):
+    return " ".join(map(str, T.ravel()))
+
+
+POSE_FILES = {
+    "16 a line": ("traj.txt", lambda i, T: numbers(T)),
+    "kitti": ("poses.txt", lambda i, T: numbers(T[:3])),
+    "numbered": ("poses_c2w.txt", lambda i, T: f"{i} {numbers(T)}"),
+    "quaternions": ("groundtruth.txt", lambda i, T: f"{i} {quaternion(T)}"),
+    "log": ("odometry.log", lambda i, T: f"{i} {i} {i + 1}\n" + "\n".join(map(numbers, T))),
+    "csv with headings": ("odometry.csv", lambda i, T: ("n, p\n" if i == 0 else "") + f"{i}, {numbers(T)}"),
+}
+MEANT = {
+    "camera to world": lambda T: T,
+    "the inverse of camera to world": np.linalg.inv,
+    "of a camera with y up and z backward of camera to world": lambda T: T @ OPENGL,
+}
+
+
+# Where the name says which way round, only that is there.
+POSE_CASES = [(name, meant) for name in POSE_FILES for meant in MEANT if "c2w" not in POSE_FILES[name][0]]
+
+
+@pytest.mark.parametrize(("name", "meant"), [*POSE_CASES, ("numbered", "camera to world")])
+def test_poses_in_whatever_file_and_whichever_way_round(tmp_path, name, meant):
+    file, form = POSE_FILES[name]
+    layout(tmp_path)
+    (tmp_path / file).write_text(pose_rows([MEANT[meant](T) for T in POSES], form))
+    recording = open_recording(tmp_path, format="folder")
+    assert f"poses of {file} are read as {meant}: " in recording.notes[-1]
+    for entry, pose in zip(recording.entries, POSES, strict=True):
+        np.testing.assert_allclose(entry.T_world_camera, pose, rtol=0, atol=1e-9)
+
+
+def test_a_pose_file_a_frame_and_names_that_say_which_way(tmp_path):
+    layout(tmp_path)
+    (tmp_path / "w2c").mkdir()
+    for i, pose in enumerate(POSES[:2]):
+        np.savetxt(tmp_path / f"w2c/{i:06d}.txt", np.linalg.inv(pose))
+    recording = open_recording(tmp_path)
+    assert recording.notes[-1].endswith("are read as the inverse of camera to world: by their name")
+    np.testing.assert_allclose(recording.entries[1].T_world_camera, POSES[1], rtol=0, atol=1e-6)
+    assert recording.entries[2].T_world_camera is None
+
+
+# Depth of another size, or of another camera
+
+FINE = PinholeIntrinsics(320, 240, 280.0, 282.0, 158.5, 121.5)
+T_COLOR_DEPTH = np.array([[1.0, 0, 0, 0.05], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+
+
+def agrees(frame, pose, share=0.95):
+    """Most of the frame's depth is what the room has there, and colours are on their surfaces."""
+    color, depth = render(frame.intrinsics, pose)
+    off = np.abs(frame.depth_m() - depth)
+    assert np.isfinite(off).mean() > 0.8 and (off[np.isfinite(off)] < 0.02).mean() > share
+    assert np.abs(frame.color.astype(int) - color)[10:-10, 10:-10].mean() < 6.0
+    assert len(dense_cloud(frame).points) > 0.5 * depth.size
+
+
+def test_coarse_depth_of_the_same_camera_is_drawn_out(tmp_path):
+    for i, pose in enumerate(POSES):
+        write_color(tmp_path / f"color/{i}.png", FINE, pose)
+        write_depth(tmp_path / f"depth/{i}.png", SMALL, pose, 1000)
+    write_json(tmp_path / "k.json", {"fx": 280, "fy": 282, "cx": 158.5, "cy": 121.5})
+    frame = open_recording(tmp_path).entries[1].load()
+    assert frame.intrinsics == FINE
+    agrees(frame, POSES[1])
+
+
+def test_much_finer_colour_is_made_smaller(tmp_path):
+    coarse = PinholeIntrinsics(40, 30, 35.0, 35.25, 19.375, 14.75)
+    for i, pose in enumerate(POSES):
+        write_color(tmp_path / f"color/{i}.png", FINE, pose)
+        write_depth(tmp_path / f"depth/{i}.png", coarse, pose, 1000)
+    write_json(tmp_path / "k.json", {"fx": 280, "fy": 282, "cx": 158.5, "cy": 121.5})
+    frame = open_recording(tmp_path).entries[1].load()
+    assert frame.depth.shape == (80, 106)
+
+
+@pytest.mark.parametrize("name", ["depth_to_color.txt", "T_depth_color.txt"])
+def test_depth_of_another_camera_is_registered_to_the_colour(tmp_path, name):
+    for i, pose in enumerate(POSES):
+        write_color(tmp_path / f"color/{i}.png", FINE, pose)
+        write_depth(tmp_path / f"depth/{i}.png", SMALL, pose @ T_COLOR_DEPTH, 1000)
+    np.savetxt(tmp_path / "color_intrinsics.txt", FINE.matrix())
+    np.savetxt(tmp_path / "depth_intrinsics.txt", SMALL.matrix())
+    np.savetxt(tmp_path / name, T_COLOR_DEPTH if name.startswith("depth") else np.linalg.inv(T_COLOR_DEPTH))
+    agrees(open_recording(tmp_path).entries[1].load(), POSES[1])
+
+
+def test_a_rig_of_color_and_depth_calibrates_both(tmp_path):
+    for i, pose in enumerate(POSES):
+        write_color(tmp_path / f"color/{i}.png", FINE, pose)
+        write_depth(tmp_path / f"depth/{i}.png", SMALL, pose @ T_COLOR_DEPTH, 1000)
+    sensors = {
+        "color": SensorCalibration("color", FINE, 1000.0, np.eye(4)),
+        "depth": SensorCalibration("depth", SMALL, 1000.0, T_COLOR_DEPTH),
+    }
+    agrees(open_recording(tmp_path, rig=Rig("two", sensors)).entries[1].load(), POSES[1])
+
+
+def test_a_lens_that_distorts_counts_in_registering(tmp_path):
+    bent = PinholeIntrinsics(320, 240, 280.0, 282.0, 158.5, 121.5, (-0.2, 0.05, 0.0, 0.0))
+    for i, pose in enumerate(POSES):
+        write_color(tmp_path / f"color/{i}.png", bent, pose)
+        write_depth(tmp_path / f"depth/{i}.png", SMALL, pose @ T_COLOR_DEPTH, 1000)
+    sensors = {
+        "color": SensorCalibration("color", bent, 1000.0, np.eye(4)),
+        "depth": SensorCalibration("depth", SMALL, 1000.0, T_COLOR_DEPTH),
+    }
+    frame = open_recording(tmp_path, rig=Rig("two", sensors)).entries[1].load()
+    off = np.abs(frame.depth_m() - render(bent, POSES[1])[1])
+    assert np.isfinite(off).mean() > 0.7 and np.nanpercentile(off, 90) < 0.02
+
+
+# Near misses
+
+
+def refused(folder, match, **options):
+    with pytest.raises(RecordingError, match=match) as caught:
+        open_recording(folder, **options)
+    assert str(folder) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_what_is_nearly_there_is_said(tmp_path):
+    layout(tmp_path, K=None)
+    refused(tmp_path, "nearly: 3 frames, colour in color/, depth in depth/, and no intrinsics; add intrinsics.json")
+    rig = Rig("one", {"a": SensorCalibration("a", SMALL, 1000.0, None)})
+    is_the_room(open_recording(tmp_path, rig=rig))
+    for path in (tmp_path / "depth").iterdir():
+        path.unlink()
+    refused(tmp_path, "not a recording of a known format; it holds 2 folders, but no folder of colour and one of depth")
+
+
+def test_mistakes_are_named(tmp_path):
+    layout(tmp_path)
+    (tmp_path / "traj.txt").write_text(pose_rows(POSES[:2], lambda i, T: numbers(T)))
+    refused(tmp_path, r"traj\.txt: expected 3 poses, as there are frames, got 2")
+    (tmp_path / "traj.txt").write_text(pose_rows(POSES, lambda i, T: numbers(2 * T)))
+    refused(tmp_path, r"traj\.txt:1: pose: expected 0 0 0 1 in the last row")
+    (tmp_path / "traj.txt").unlink()
+    for K, match in (
+        ('{"fx": 1e999, "fy": 1, "cx": 1, "cy": 1}', "fx: expected a finite number"),
+        ('{"K": [[1, 2], [3, 4]]}', "expected a 3x3 or 4x4 matrix or fx fy cx cy, got 4 numbers"),
+        ('{"K": [1, 2, "x"]}', "expected 3 finite numbers"),
+        ('{"fx": 9, "fy": 9, "cx": 9, "cy": 9, "w": -5, "h": 7}', "expected an image size"),
+        ("{", "not valid JSON"),
+        ("[" * 100_000, "not valid JSON"),
+    ):
+        (tmp_path / "k.json").write_text(K)
+        (tmp_path / "K.txt").unlink(missing_ok=True)
+        refused(tmp_path, match)
+
+
+def test_a_cropped_image_is_no_scaled_one(tmp_path):
+    layout(tmp_path, K=("k.json", json.dumps({"fx": 140, "fy": 141, "cx": 79, "cy": 60.5, "w": 160, "h": 90})))
+    with pytest.raises(RecordingError, match="the intrinsics are for 160x90 pixels, which is no scaled 160x120"):
+        open_recording(tmp_path).entries[0].load()
+
+
+def test_colour_and_depth_of_different_shapes_need_both_calibrations(tmp_path):
+    layout(tmp_path)
+    for path in (tmp_path / "depth").iterdir():
+        assert cv2.imwrite(str(path), depth_of(SMALL, POSES[0], 1000)[:100])
+    with pytest.raises(RecordingError, match="no scaled view of one camera; give both cameras' calibrations"):
+        open_recording(tmp_path).entries[0].load()
+
+
+def test_a_folder_of_recordings_is_none_itself(tmp_path):
+    layout(tmp_path / "first")
+    layout(tmp_path / "second", "frame-{i:06d}.color.png", "frame-{i:06d}.depth.png")
+    write_tum(tmp_path / "third", POSES[:2], SMALL)
+    refused(tmp_path, "it holds 3 folders, but no folder of colour and one of depth images")
+    assert recordings_in(tmp_path) == [tmp_path / name for name in ("first", "second", "third")]
+    assert recordings_in(tmp_path / "first") == []
+    (tmp_path / "alone").mkdir()
+    (tmp_path / "third").rename(tmp_path / "alone" / "third")
+    assert recordings_in(tmp_path / "alone") == [tmp_path / "alone" / "third"]

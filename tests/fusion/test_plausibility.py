@@ -1,0 +1,137 @@
+"""Sensors that are mirrored, shifted, in a wrong unit or deliver disparity are named, and sound ones are left alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from shared_data import ROOT, shared_data
+
+from adagmm_fusion.cli import main
+from adagmm_fusion.frames.depth_checks import UNIT_MISTAKES, color_offset, looks_like_disparity, unit_mistake
+from adagmm_fusion.pairs.mirrored import agreeing_matches, looks_mirrored
+from adagmm_fusion.pairs.plausibility import recording_warnings, sensor_warnings
+from adagmm_fusion.recordings.frame_sequence import FrameEntry, Recording
+from adagmm_fusion.recordings.opening import open_recording
+
+SHIPPED = ROOT / "recordings" / "two_kinects"
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    return open_recording(SHIPPED)
+
+
+@pytest.fixture(scope="module")
+def frames(shipped):
+    """Two frames of the right sensor: rendered, with a Kinect's steps and noise."""
+    return [entry.load() for entry in shipped.entries if entry.sensor == "right"][:2]
+
+
+def changed(recording: Recording, sensor: str | None, change) -> Recording:
+    """The recording as it would be if a sensor (or all) delivered other frames."""
+    entries = tuple(
+        FrameEntry(e.name, e.sensor, lambda e=e: change(e.load()), e.T_world_camera, e.timestamp)
+        if sensor in (None, e.sensor)
+        else e
+        for e in recording.entries
+    )
+    return replace(recording, entries=entries)
+
+
+def mirrored(frame):
+    flip = {name: np.ascontiguousarray(getattr(frame, name)[:, ::-1]) for name in ("color", "depth")}
+    return replace(frame, **flip)
+
+
+def shifted(frame, right, down=0):
+    """What comes in over the border has no depth."""
+    depth = np.roll(frame.depth, (down, right), (0, 1))
+    rows, columns = np.indices(depth.shape)
+    height, width = depth.shape
+    there = (rows >= down) & (rows < height + down) & (columns >= right) & (columns < width + right)
+    return replace(frame, depth=np.where(there, depth, 0).astype(np.uint16))
+
+
+def disparity(frame):
+    """4e6 / depth, as a stereo camera's disparity image is."""
+    d = np.where(frame.depth > 0, 4e6 / np.maximum(frame.depth, 1), 0)
+    return replace(frame, depth=d.clip(0, 65535).astype(np.uint16))
+
+
+def test_sound_recordings_are_left_alone(shipped):
+    assert recording_warnings(shipped) == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name",
+    ["apc_shelf_f200", "hololens_tof", "redwood_open3d_5frames", "tum_fr1_rpy_kinect_v1", "two_xtion_rig"],
+)
+def test_real_recordings_are_left_alone(name):
+    """Five kinds of sensors."""
+    assert recording_warnings(open_recording(shared_data("recordings", name))) == ()
+
+
+@pytest.mark.parametrize(("right", "down"), [(25, 0), (-25, 0), (12, -9)])
+def test_depth_beside_its_colour(frames, right, down):
+    offset = color_offset([shifted(frame, right, down) for frame in frames])
+    assert not offset.mirrored
+    # The sensor's shadows are on one side of what casts them, which makes 2 px.
+    np.testing.assert_allclose((offset.right_px, offset.down_px), (-right, -down), rtol=0, atol=3)
+    (warning,) = sensor_warnings([shifted(frame, right, down) for frame in frames])
+    assert "px off its depth" in warning and "register the depth to the colour" in warning
+
+
+def test_a_small_shift_and_no_outlines_say_nothing(frames):
+    assert color_offset([shifted(frame, 2) for frame in frames]) is None
+    flat = [replace(frame, depth=np.full_like(frame.depth, 1500)) for frame in frames]
+    assert color_offset(flat) is None and color_offset([]) is None
+    gray = [replace(frame, color=np.full_like(frame.color, 90)) for frame in frames]
+    assert color_offset(gray) is None
+
+
+def test_colour_that_is_mirrored_against_its_depth(frames):
+    turned = [replace(frame, color=mirrored(frame).color) for frame in frames]
+    assert color_offset(turned).mirrored
+    assert sensor_warnings(turned) == ["the colour image looks mirrored against the depth, left to right"]
+
+
+def test_one_mirrored_sensor_of_two(shipped):
+    pair = shipped[0]
+    assert not looks_mirrored(pair.source, pair.target) and looks_mirrored(mirrored(pair.source), pair.target)
+    assert agreeing_matches(pair.source, pair.source) > 500
+    warnings = recording_warnings(changed(shipped, "right", mirrored))
+    assert warnings[0].startswith("right or left looks mirrored")
+
+
+@pytest.mark.parametrize("times", UNIT_MISTAKES)
+def test_depth_in_a_wrong_unit(frames, times):
+    wrong = [replace(frame, depth_scale=frame.depth_scale / times) for frame in frames]
+    assert unit_mistake(wrong) == times
+    (warning,) = [text for text in sensor_warnings(wrong) if "depth_scale" in text]
+    assert f"depth_scale {1000 / times:g} should be 1000" in warning
+
+
+def test_where_no_steps_are_the_known_poses_tell_the_unit(shipped):
+    """Metres in floating point, called millimetres."""
+    metres = changed(shipped, None, lambda frame: replace(frame, depth=frame.depth_m() * 1.0, depth_scale=1000.0))
+    (warning,) = recording_warnings(metres)
+    assert warning.startswith("the depth looks 1000 times too small: by the known poses")
+
+
+def test_disparity_is_no_depth(frames):
+    assert not looks_like_disparity(frames) and looks_like_disparity([disparity(frame) for frame in frames])
+    assert not looks_like_disparity([])
+    assert any("looks like disparity" in text for text in sensor_warnings([disparity(frame) for frame in frames]))
+
+
+def test_info_and_report_say_so(tmp_path, capsys, monkeypatch, shipped):
+    wrong = changed(shipped, "right", lambda frame: shifted(frame, 25))
+    monkeypatch.setattr("adagmm_fusion.commands.info.recording_of", lambda args: wrong)
+    main(["info", str(SHIPPED)])
+    assert "note: right: the colour looks " in capsys.readouterr().out
+    monkeypatch.setattr("adagmm_fusion.commands.run.open_recording", lambda *_, **__: wrong)
+    arguments = ["--pairs", "0", "--no-clouds", "--no-rerun", "--device", "cpu", "--output", str(tmp_path)]
+    main(["run", str(SHIPPED), *arguments])
+    assert "note: right: the colour looks " in capsys.readouterr().out
+    assert "## Notes on the recording\n\n- right: the colour looks " in (tmp_path / "report.md").read_text()

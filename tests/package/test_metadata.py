@@ -1,0 +1,107 @@
+"""What the package promises about itself agrees: versions, Pythons, requirements, licence."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import adagmm_o3d
+from adagmm_o3d.lazy_open3d import LIBRARIES
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+MINIMUM_VERSIONS = ROOT / "tests" / "minimum_versions"
+# Linters, the CUDA compiler and what builds the documentation: their versions decide no result.
+NOT_PINNED = {"ruff", "mypy", "numba-cuda", "cuda-toolkit", "nvidia-nvjitlink", "nvidia-cuda-nvcc"}
+NOT_PINNED |= {"mkdocs", "mkdocs-material", "mkdocstrings"}
+WITHOUT_WHEELS = {"cycpd", "kiss-matcher"}
+
+
+def requirements(extra):
+    return PROJECT["dependencies"] if extra is None else PROJECT["optional-dependencies"][extra]
+
+
+def name_of(requirement):
+    return re.match(r"[A-Za-z0-9_.-]+", requirement)[0].lower()
+
+
+def pins(file):
+    lines = (MINIMUM_VERSIONS / file).read_text().splitlines()
+    return dict(line.split("==") for line in lines if not line.startswith("#"))
+
+
+def test_the_version_is_written_once():
+    version = adagmm_o3d.__version__
+    assert PROJECT["dynamic"] == ["version"]
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"\n## {version}" in (ROOT / "CHANGELOG.md").read_text()
+
+
+def test_the_pythons_that_are_promised_are_those_that_may_install():
+    listed = [c.rpartition(" ")[2] for c in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", c)]
+    first, after = (int(minor) for minor in re.fullmatch(r">=3\.(\d+),<3\.(\d+)", PROJECT["requires-python"]).groups())
+    assert listed == [f"3.{minor}" for minor in range(first, after)]
+    scripts = (ROOT / "apps" / "system_packages.sh").read_text()
+    assert f"(3, {first}) <= sys.version_info < (3, {after})" in scripts
+
+
+@pytest.mark.parametrize(("file", "extras"), [("core.txt", [None, "open3d", "open3d-cpu"]), ("apps.txt", None)])
+def test_the_oldest_versions_are_those_that_the_requirements_name(file, extras):
+    extras = extras or [None, *PROJECT["optional-dependencies"]]
+    oldest = {}
+    for requirement in (r for extra in extras for r in requirements(extra)):
+        least = re.search(r">=([0-9.]+)", requirement)
+        if least is not None and name_of(requirement) not in NOT_PINNED:
+            oldest.setdefault(name_of(requirement), []).append(least[1])
+    if file == "core.txt":
+        oldest |= {"pytest": ["8"], "hypothesis": ["6.100"]}
+    pinned = pins(file)
+    assert set(oldest) - {"dask"} == set(pinned) - {"dask", "distributed"}
+    for name, versions in oldest.items():
+        newest_of_the_oldest = max(versions, key=lambda version: [int(part) for part in version.split(".")])
+        assert f"{pinned[name]}.".startswith(f"{newest_of_the_oldest}."), name
+
+
+def test_nothing_is_required_that_has_to_be_compiled():
+    for extra, entries in PROJECT["optional-dependencies"].items():
+        for entry in entries:
+            if name_of(entry) in WITHOUT_WHEELS:
+                assert "python_version < '3.13'" in entry, extra
+
+
+def test_neither_package_of_open3d_is_forced_on_anybody():
+    for extra in (None, *PROJECT["optional-dependencies"]):
+        named = {name_of(entry) for entry in requirements(extra)} & {"open3d", "open3d-cpu"}
+        assert named == ({extra} if extra in ("open3d", "open3d-cpu") else set()), extra
+
+
+def test_the_description_stands_alone_on_a_package_index():
+    text = (ROOT / PROJECT["readme"]).read_text()
+    assert re.findall(r"\]\((?!https?://)", text) == []
+    extras = {line.split("|")[1] for line in text.splitlines() if line.startswith("| ")}
+    for extra in set(PROJECT["optional-dependencies"]) - {"dev", "docs", "cuda-check"}:
+        assert any(f"`{extra}`" in cell for cell in extras), extra
+
+
+def test_there_is_a_licence_and_a_word_on_types():
+    assert (ROOT / "LICENSE").read_text().startswith("MIT License")
+    assert PROJECT["license"] == "MIT"
+    assert (ROOT / "adagmm_o3d" / "py.typed").exists()
+
+
+def test_the_workflow_runs_what_is_promised():
+    workflow = (ROOT / ".github" / "workflows" / "tests.yml").read_text()
+    promised = [c.rpartition(" ")[2] for c in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", c)]
+    (listed,) = re.findall(r'python: \[("3.*)\]', workflow)
+    assert listed == ", ".join(f'"{python}"' for python in promised)
+    assert "bash tests/run.sh" in workflow and "bash tests/minimum_versions.sh" in workflow
+
+
+def test_the_libraries_of_the_system_are_the_same_wherever_they_are_named():
+    scripts = (ROOT / "apps" / "system_packages.sh").read_text()
+    needed = set(re.search(r'^LIBRARIES="(.*?)"', scripts, re.MULTILINE)[1].split())
+    assert set(LIBRARIES.split()) == needed
+    for page in ("docs/how-to/gpu_containers_cluster.md", "docs/how-to/questions.md", ".github/workflows/tests.yml"):
+        for line in re.findall(r"apt-get install(.*)", (ROOT / page).read_text()):
+            assert needed <= set(line.strip("`.").split()), page

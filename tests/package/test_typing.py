@@ -1,0 +1,75 @@
+"""A user's strict type check sees our types: of results, of `.details`, and of arguments that are wrong."""
+
+import os
+import re
+import subprocess
+import sys
+from typing import get_args
+
+import pytest
+from shared_data import ROOT
+
+from adagmm_o3d.options import DeviceName
+from adagmm_o3d.pairs.device import DEVICES
+
+pytest.importorskip("mypy", reason="needs mypy")
+
+GOOD = ROOT / "tests" / "support" / "typed_script.py"
+RESULT, ARRAY = (
+    "adagmm_o3d.result.PointRegistrationResult",
+    "numpy.ndarray[tuple[Any, ...], numpy.dtype[numpy.float64]]",
+)
+REVEALED = [RESULT, ARRAY, f"{ARRAY} | None", RESULT, "float", RESULT]
+BAD = """\
+import open3d as o3d
+from adagmm_o3d import register_points, registration_adaptive_gmm
+cloud = o3d.geometry.PointCloud()
+tensor = o3d.t.geometry.PointCloud()
+registration_adaptive_gmm(cloud, tensor, 0.05)
+registration_adaptive_gmm(cloud, cloud, 0.05, device="gpu")
+registration_adaptive_gmm(cloud, cloud, 0.05, criteria=3)
+registration_adaptive_gmm("cloud", cloud, 0.05)
+register_points([[0.0]], [[0.0]], estimation_method="icp")
+register_points([[0.0]], [[0.0]], device=0)
+registration_adaptive_gmm(tensor, tensor, 0.05).details.overlop
+"""
+
+
+@pytest.fixture(scope="module")
+def checked(tmp_path_factory):
+    """What mypy says of the good script and of the bad one, and the bad one's path."""
+    folder = tmp_path_factory.mktemp("typing")
+    bad = folder / "bad.py"
+    bad.write_text(BAD)
+    options = [
+        "--config-file=",
+        "--strict",
+        "--follow-imports=silent",
+        f"--cache-dir={folder / 'cache'}",
+        "--no-pretty",
+    ]
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", *options, str(GOOD), str(bad)],
+        env=os.environ | {"MYPYPATH": str(ROOT)},
+        cwd=folder,
+        capture_output=True,
+        text=True,
+    )
+    return done.stdout, bad
+
+
+def test_a_strict_script_has_no_errors_and_its_results_have_types(checked):
+    said = [line for line in checked[0].splitlines() if "typed_script.py" in line]
+    assert not [line for line in said if "error:" in line], said
+    assert [re.search(r'Revealed type is "(.*)"', line)[1] for line in said if "Revealed" in line] == REVEALED
+
+
+def test_wrong_arguments_are_errors(checked):
+    out, bad = checked
+    wrong = {int(line.split(":")[1]) for line in out.splitlines() if f"{bad.name}:" in line and "error:" in line}
+    lines = BAD.splitlines()
+    assert wrong == set(range(5, len(lines) + 1))
+
+
+def test_the_type_of_a_device_names_the_devices():
+    assert get_args(DeviceName) == DEVICES

@@ -26,6 +26,12 @@ def warm_up(*, paper_rules: bool = True) -> None:
     result = register_points(points + 0.1, points, device="cpu")
     result.find_partners()
     result.assess()
+    result.weigh()
+    # A surface whose parts share a half only, which features have to tell.
+    sphere = points / np.linalg.norm(points, axis=1, keepdims=True) * (1.0, 0.7, 0.4)
+    left, right = sphere[sphere[:, 0] < 0.3], sphere[sphere[:, 0] > -0.3]
+    covariances = [np.tile(np.diag([1.0, 1.0, 0.5]), (len(part), 1, 1)) for part in (left, right)]
+    register_points(left, right[:, ::-1].copy(), *covariances, device="cpu")
     register_points(few, few, init="global", device="cpu")
     for rule in get_args(SigmaRuleName) if paper_rules else ():
         options = TransformationEstimationForAdaptiveGMM(sigma_rule=rule)

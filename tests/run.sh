@@ -21,6 +21,8 @@ else
 fi
 
 export OMP_WAIT_POLICY=passive
+# Compiled once here, not by whichever test comes first.
+.venv/bin/python -m adagmm_o3d.warm_up
 .venv/bin/ruff check .
 .venv/bin/ruff format --check .
 .venv/bin/mypy

@@ -44,10 +44,11 @@ def register_points(
         array gets `estimate_surface_covariances`. Singular ones, like those that Open3D estimates on flat faces, are
         given the thickness of a surface and counted, see `make_mixture`. A point whose covariance is not finite is
         ignored and counted; more than 1 % of them is an error.
-    init : (D+1, D+1) rigid transformation source → target; a rotation written with few digits is made exact. Other than
-        the identity it is believed as long as it leads to a plausible overlap: the search stays near it. The identity,
-        or None, leaves the choice between the identity and common centroids, with starts around, to the likelihood.
-        "global" searches all rotations.
+    init : (D+1, D+1) rigid transformation source → target; a rotation written with few digits is made exact. It is
+        refined nearby, and competes with what common centroids, starts around them and, in space, local features
+        propose: it wins where it explains the clouds as well as the halves of one cloud explain each other, or where
+        none of the others does clearly better. None stands for the identity. "global": nothing is known of the pose,
+        and where features find none all rotations are tried.
     estimation_method : the options; None, or one of Open3D's own, for the defaults.
     criteria : `Criteria`, or Open3D's ICPConvergenceCriteria; `relative_rmse` bounds the last step, `max_iteration`
         the iterations reported; with 0 of them `init`, or the identity, is the result. None, or

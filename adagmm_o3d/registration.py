@@ -92,8 +92,9 @@ def registration_adaptive_gmm(
     max_correspondence_distance : [input units] > 0, infinity for no limit. The method chooses no correspondences;
         within this distance `fitness`, `inlier_rmse` and `correspondence_set` count them, as Open3D's
         `evaluate_registration` does.
-    init : (4, 4) rigid transformation source → target to start from; the identity (also when left out) lets the
-        method choose between it and common centroids; "global" searches all rotations.
+    init : (4, 4) rigid transformation source → target. It is refined nearby, the identity (also when left out) too, and
+        competes with what common centroids and local features propose; "global" says that nothing is known of the pose.
+        See `register_points`.
     estimation_method : TransformationEstimationForAdaptiveGMM. Open3D's own methods and robust kernels are accepted, so
         that a script needs no change, and stand for the default options, which the log says once; one that estimates a
         scale is refused. The `epsilon` of that for GICP is the thickness of surfaces where legacy clouds have no

@@ -131,6 +131,9 @@ def register_pair(pair: RGBDPair, settings: Settings, callback: Callback | None 
             criteria=_criteria(settings),
             device=settings.device,
             callback_after_iteration=callback,
+            # Each cloud is in the frame of the camera that saw it.
+            source_viewpoint=np.zeros(3),
+            target_viewpoint=np.zeros(3),
         )
         reached |= {"estimate": result.details, "seconds_registration": time.perf_counter() - start}
     except AdaGMMError as problem:

@@ -20,7 +20,7 @@ COMMANDS = {
     "info": "say what is in a recording",
     "convert": "write a recording in our own layout",
     "calibrate": "make a rig file from images of a board",
-    "convert-rig": "make a rig file of ROS or OpenCV calibrations",
+    "convert-rig": "make a rig file of other programs' calibrations",
     "verify": "say whether a rig's calibration is still true",
     "fuse": "fuse a whole recording into one mesh",
 }

@@ -197,7 +197,16 @@ def test_a_full_disk_behind_the_output(command, tmp_path):
         assert json.loads((tmp_path / "out" / "report.json").read_text())["summary"]["pairs_done"] == 1
 
 
+@pytest.fixture
+def not_under_nohup():
+    """Hanging up does what it does in a terminal, whoever runs the tests."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="POSIX")
+@pytest.mark.usefixtures("not_under_nohup")
 def test_a_terminal_that_goes_away(room, tmp_path, monkeypatch):
     """Neither the terminal nor its owner is there any more: what was finished is reported, and nothing else fails."""
     ours, theirs = pty.openpty()
@@ -221,6 +230,7 @@ def test_a_terminal_that_goes_away(room, tmp_path, monkeypatch):
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="POSIX")
+@pytest.mark.usefixtures("not_under_nohup")
 def test_hanging_up_is_heard_and_under_nohup_is_not():
     with pytest.raises(HungUp) as caught, signals_as_interrupts():
         signal.raise_signal(signal.SIGHUP)

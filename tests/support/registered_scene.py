@@ -63,6 +63,7 @@ def known_estimate(
         doubts=(),
         find_partners=Deferred(lambda: Partners(0.7, np.linspace(0.0, 1.0, len(source.points)))),
         assess=Deferred(lambda: PoseUncertainty(None, unobservable)),
+        weigh=Deferred(lambda: 2.0),
     )
 
 

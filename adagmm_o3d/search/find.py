@@ -58,10 +58,14 @@ def find(
 ) -> Found:
     """The end to refine on all points.
 
-    Parameters ---------- given : (4, 4) pose that somebody has vouched for, or None.   identity : the input's identity,
-    or None if it means nothing.   centroids : whether common centroids are a start.   everywhere : nothing is known of
-    the pose. search : whether to search where the first end leaves doubt.   judge : made when it is first needed.
-    viewpoints : see `judge.Judge`. All of it between the normalised mixtures.
+    Parameters
+    ----------
+    given : (4, 4) pose that somebody has vouched for, or None.
+    identity : (4, 4) the input's identity, or None if it means nothing.
+    centroids : whether common centroids are a start.   everywhere : whether nothing is known of the pose.
+    search : whether to search where the first end leaves doubt.
+    judge : made when it is first needed.   viewpoints : see `judge.Judge`.
+        All of it between the normalised mixtures.
     """
     believed = given if given is not None else identity
     bases = [base for base in (np.eye(4) if centroids and given is None else None, believed) if base is not None]
@@ -74,8 +78,11 @@ def find(
         first = first_end(levels, [starts.wide(base) for base in bases])
         if is_tight(levels, first[1]) or not search:
             return Found(first[1], False)
-    nearby = [] if everywhere or believed is None else levels.run(levels.schedule.near, starts.near(believed), 2)
-    if levels.source.dimension == 2 or not judge().sharp:
+    sharp = levels.source.dimension == 3 and judge().sharp
+    nearby: list[End] = []
+    if believed is not None and not everywhere and (sharp or given is not None):
+        nearby = levels.run(levels.schedule.near, starts.near(believed), 2)
+    if not sharp:
         # Noise hides the shape at the scale of the points: the likelihood at the noise's own scale decides.
         if first is None:
             ends = search_globally(levels)
@@ -88,13 +95,11 @@ def find(
     if given is not None and near and max(value for _, value in near) >= KNOWN_AGAIN * judge().reference:
         return _chosen(near, [], judge().sigma)
     rest = [] if first is None else [first[1]]
-    if levels.source.dimension == 3:
-        rest += _proposed(levels, feature_poses(levels.source, levels.target))
-    pool = _judged(judge(), rest)
+    pool = _judged(judge(), [*rest, *_proposed(levels, feature_poses(levels.source, levels.target))])
     if not pool or max(value for _, value in [*near, *pool]) < ESTABLISHED:
         more = search_globally(levels) if first is None else search_around(levels, _others(levels, bases), first)
         if viewpoints[0] is not None and viewpoints[1] is not None:
-            more += starts_in_place(levels, viewpoints[0], viewpoints[1])
+            more += _starts_in_place(levels, viewpoints[0], viewpoints[1])
         pool += _judged(judge(), more)
     return _chosen(near, pool, judge().sigma)
 
@@ -119,7 +124,7 @@ def _proposed(levels: Levels, poses: list[Array]) -> list[End]:
     return levels.run(level, begin, 2)
 
 
-def starts_in_place(levels: Levels, source_viewpoint: Array, target_viewpoint: Array) -> list[End]:
+def _starts_in_place(levels: Levels, source_viewpoint: Array, target_viewpoint: Array) -> list[End]:
     """Where a sensor leads that was turned, not moved, between the two clouds."""
     level = levels.schedule.in_place
     poses = starts.turned_in_place(source_viewpoint, target_viewpoint)

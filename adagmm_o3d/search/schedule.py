@@ -44,13 +44,15 @@ class Schedule:
     """The levels of the search, and when it is needed.
 
     sketch : many starts tried around a doubtful first end.   merged : the first end, and the best of the sketch.
-    ranking : those again, on points.   deciding : the ends that are compared. grid, grid_merged, grid_ranking,
-    grid_deciding : the same way for a grid of all rotations. proposed : poses that features propose.   near : starts at
-    a pose that the caller gave.   in_place : a sensor turned without being moved. small : clouds of up to so many
-    points decide with all of them; a search among these decides on `small_deciding`: on a part it does better (heavy
-    noise above all). tight, tight_unmatched : residuals within `tight` of the spacing of the points are no coincidence
-    where at most `tight_unmatched` of them have no partner: no search is needed. Of a part of the points that much is
-    found in many poses.
+    ranking : those again, on points.   deciding : the ends that are compared.
+    grid, grid_merged, grid_ranking, grid_deciding : the same way for a grid of all rotations.
+    proposed : poses that features propose.   near : starts at a pose that the caller gave.
+    in_place : a sensor turned without being moved.
+    small : clouds of up to so many points decide with all of them; a search among these decides on `small_deciding`:
+        on a part it does better (heavy noise above all).
+    tight, tight_unmatched : residuals within `tight` of the spacing of the points are no coincidence where at most
+        `tight_unmatched` of them have no partner: no search is needed. Of a part of the points that much is found in
+        many poses.
     """
 
     sketch: Level = Level((24, 64), True, 2e-3, 0.05, 5e-4, 0.6, 4, 0.0, None, 8, 0.12)

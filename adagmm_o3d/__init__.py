@@ -10,6 +10,7 @@ from adagmm_o3d.result import PointRegistrationResult, StopReason
 from adagmm_o3d.uncertainty import (
     KinectUncertainty,
     estimate_kinect_covariances,
+    estimate_kinect_surface_covariances,
     estimate_lidar_covariances,
     estimate_nguyen_covariances,
     estimate_surface_covariances,
@@ -31,6 +32,7 @@ __all__ = [
     "TransformationEstimationForAdaptiveGMM",
     "__version__",
     "estimate_kinect_covariances",
+    "estimate_kinect_surface_covariances",
     "estimate_lidar_covariances",
     "estimate_nguyen_covariances",
     "estimate_surface_covariances",

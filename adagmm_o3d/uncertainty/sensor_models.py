@@ -11,6 +11,7 @@ from adagmm_o3d.arguments import Array, float_array
 from adagmm_o3d.entry_points import entry_points, load
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.uncertainty.kinect import estimate_kinect_covariances
+from adagmm_o3d.uncertainty.kinect_surface import estimate_kinect_surface_covariances
 from adagmm_o3d.uncertainty.nguyen2012 import estimate_nguyen_covariances
 from adagmm_o3d.uncertainty.surface import estimate_surface_covariances
 
@@ -18,7 +19,9 @@ from adagmm_o3d.uncertainty.surface import estimate_surface_covariances
 SensorModel = Callable[[Array, Array, tuple[float, float]], Array]
 
 GROUP = "adagmm_o3d.sensor_models"
+DEFAULT = "kinect-surface"
 OURS: dict[str, SensorModel] = {
+    DEFAULT: estimate_kinect_surface_covariances,
     "kinect": lambda points, normals, focal_lengths: estimate_kinect_covariances(points, normals),
     "nguyen": estimate_nguyen_covariances,
     "surface": lambda points, normals, focal_lengths: estimate_surface_covariances(points, normals),

@@ -171,6 +171,11 @@ def test_covariances_come_from_the_sensor_model(sensor_model):
         np.testing.assert_allclose(covariances, expected, rtol=1e-12, atol=0)
     if sensor_model == "nguyen":  # metric: millimetres to centimetres in a room
         assert 1e-3 < np.sqrt(np.median(np.linalg.eigvalsh(covariances)[:, 2])) < 1e-1
+    if sensor_model == "kinect-surface":
+        across = np.einsum("ni,nij,nj->n", normals, covariances, normals)
+        assert 1e-3 < np.sqrt(np.median(across)) < 1e-2
+        along = (np.trace(covariances, axis1=1, axis2=2) - across) / 2
+        assert np.sqrt(np.median(along)) > np.median(cloud.compute_nearest_neighbor_distance())
     if sensor_model == "surface":
         across = np.einsum("ni,nij,nj->n", normals, covariances, normals)
         np.testing.assert_allclose(across, 1e-3, rtol=1e-6, atol=0)
@@ -205,7 +210,10 @@ def test_an_empty_cloud_says_why(depth, depth_scale, match):
         ({"voxel_size": 0.0}, "voxel_size"),
         ({"voxel_size": float("nan")}, "voxel_size"),
         ({"target_points": 0}, "target_points"),
-        ({"sensor_model": "sonar"}, "sensor_model: expected one of kinect, nguyen, surface, none, got 'sonar'"),
+        (
+            {"sensor_model": "sonar"},
+            "sensor_model: expected one of kinect-surface, kinect, nguyen, surface, none, got 'sonar'",
+        ),
         ({"min_depth": 2.0, "max_depth": 1.0}, "min_depth, max_depth"),
         ({"max_depth": float("nan")}, "min_depth, max_depth"),
     ],

@@ -7,6 +7,7 @@ from adagmm_o3d.errors import AdaGMMError, DegenerateError, InputError, InputTyp
 from adagmm_o3d.uncertainty import (
     KinectUncertainty,
     estimate_kinect_covariances,
+    estimate_kinect_surface_covariances,
     estimate_lidar_covariances,
     estimate_nguyen_covariances,
     estimate_surface_covariances,
@@ -85,9 +86,10 @@ def test_points_and_normals_of_the_kinect_model(points, normals, error, message)
     check(lambda: estimate_kinect_covariances(points, normals), error, message)
 
 
+@pytest.mark.parametrize("estimate", [estimate_nguyen_covariances, estimate_kinect_surface_covariances])
 @pytest.mark.parametrize("points, normals, error, message", VIEWED)
-def test_points_and_normals_of_the_nguyen_model(points, normals, error, message):
-    check(lambda: estimate_nguyen_covariances(points, normals, 525.0), error, message)
+def test_points_and_normals_of_the_metric_models(points, normals, error, message, estimate):
+    check(lambda: estimate(points, normals, 525.0), error, message)
 
 
 @pytest.mark.parametrize(
@@ -128,8 +130,9 @@ def test_kinect_weights(call, error, message):
         ("525", InputTypeError, "focal_length: expected a real number, got str"),
     ],
 )
-def test_focal_length(focal_length, error, message):
-    check(lambda: estimate_nguyen_covariances(POINTS, NORMALS, focal_length), error, message)
+@pytest.mark.parametrize("estimate", [estimate_nguyen_covariances, estimate_kinect_surface_covariances])
+def test_focal_length(focal_length, error, message, estimate):
+    check(lambda: estimate(POINTS, NORMALS, focal_length), error, message)
 
 
 @pytest.mark.parametrize(

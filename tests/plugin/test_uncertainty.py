@@ -12,6 +12,7 @@ from scipy.stats import special_ortho_group
 from adagmm_o3d.uncertainty import (
     KinectUncertainty,
     estimate_kinect_covariances,
+    estimate_kinect_surface_covariances,
     estimate_nguyen_covariances,
     estimate_surface_covariances,
     mark_outliers,
@@ -45,6 +46,7 @@ def roll(angle):
 MODELS = {
     "kinect": estimate_kinect_covariances,
     "nguyen": lambda points, normals: estimate_nguyen_covariances(points, normals, 525.0),
+    "kinect-surface": lambda points, normals: estimate_kinect_surface_covariances(points, normals, 525.0),
 }
 both = pytest.mark.parametrize("estimate", MODELS.values(), ids=MODELS)
 
@@ -146,7 +148,31 @@ def test_nguyen_is_the_spread_of_back_projected_pixels():
     np.testing.assert_allclose(covariance, samples, rtol=0.02, atol=0.01 * samples.max())
 
 
-# Both sensors
+# Noise and surface
+
+
+def test_across_the_surface_is_the_noise_and_along_it_also_the_spacing():
+    rows, columns = np.indices((30, 30)).reshape(2, -1)
+    points = np.column_stack([0.02 * columns - 0.3, 0.02 * rows - 0.3, np.full(900, 1.5)])
+    normals = np.tile([0.0, 0.0, -2.0], (900, 1))
+    noise = estimate_nguyen_covariances(points, normals, 525.0)
+    inside = (rows > 0) & (rows < 29) & (columns > 0) & (columns < 29)
+    expected = noise + np.diag([0.02**2, 0.02**2, 0.0])
+    covariances = estimate_kinect_surface_covariances(points, normals, 525.0)
+    np.testing.assert_allclose(covariances[inside], expected[inside], rtol=1e-9, atol=1e-12)
+
+
+def test_a_point_alone_has_its_noise():
+    point, normal = on_axis(2.0, 0.3)
+    np.testing.assert_allclose(
+        estimate_kinect_surface_covariances(point, normal, 525.0),
+        estimate_nguyen_covariances(point, normal, 525.0),
+        rtol=1e-12,
+        atol=0.0,
+    )
+
+
+# All sensors
 
 
 @both

@@ -8,7 +8,7 @@ from adagmm_fusion.clouds.sensor_models import NONE, sensor_models
 from adagmm_fusion.frames.depth_geometry import back_project, depth_edges, depth_in_range, depth_noise, grid_normals
 from adagmm_fusion.frames.rgbd import RGBDFrame, RGBDPair
 from adagmm_o3d.errors import InputError
-from adagmm_o3d.uncertainty.sensor_models import estimate_sensor_covariances
+from adagmm_o3d.uncertainty.sensor_models import DEFAULT, estimate_sensor_covariances
 
 # The paper registered clouds of 3000 to 4000 points.
 TARGET_POINTS = 3500
@@ -24,7 +24,7 @@ def cloud_from_frame(
     *,
     voxel_size: float | None = None,
     target_points: int = TARGET_POINTS,
-    sensor_model: str = "kinect",
+    sensor_model: str = DEFAULT,
     min_depth: float = MIN_DEPTH,
     max_depth: float = MAX_DEPTH,
 ) -> o3d.geometry.PointCloud:
@@ -34,8 +34,9 @@ def cloud_from_frame(
     Parameters
     ----------
     voxel_size : [m]; None takes the size that leaves about `target_points`.
-    sensor_model : where covariances come from: "kinect" (Pu et al. Eq. 6, relative), "nguyen" (Nguyen et al. 2012,
-        m^2), "surface" (the points' own neighbourhood), another package's (see `uncertainty.sensor_models`), or "none".
+    sensor_model : where covariances come from: "kinect-surface" (the sensor's noise and the spacing along the surface,
+        m²), "kinect" (Pu et al. Eq. 6, relative), "nguyen" (noise alone, Nguyen et al. 2012, m²), "surface" (the
+        surface alone, relative), another package's (see `uncertainty.sensor_models`), or "none".
     min_depth, max_depth : [m], along the optical axis; what lies outside is left out.
 
     Returns
@@ -57,7 +58,7 @@ def clouds_from_pair(
     *,
     voxel_size: float | None = None,
     target_points: int = TARGET_POINTS,
-    sensor_model: str = "kinect",
+    sensor_model: str = DEFAULT,
     min_depth: float = MIN_DEPTH,
     max_depth: float = MAX_DEPTH,
 ) -> tuple[o3d.geometry.PointCloud, o3d.geometry.PointCloud]:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.options import DeviceName
+from adagmm_o3d.uncertainty.sensor_models import DEFAULT
 
 # What makes sense with depth cameras and can be computed with; a number beyond is a slip or another unit.
 LIMITS = {
@@ -34,7 +35,7 @@ class Settings:
     min_overlap : without ground truth, a pair succeeded if its estimate is trustworthy and overlaps this much.
     """
 
-    sensor_model: str = "kinect"
+    sensor_model: str = DEFAULT
     voxel_size_m: float | None = None
     target_points: int = 3500
     max_depth_m: float = 5.0

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from adagmm_o3d.arguments import Array, float_array
 from adagmm_o3d.errors import InputError
+from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.options import (
     Callback,
     CriteriaArgument,
@@ -17,12 +21,13 @@ from adagmm_o3d.options import (
     check_estimation_method,
 )
 from adagmm_o3d.pairs.device import check_device, mixture_maker
+from adagmm_o3d.prepared import PreparedCloud
 from adagmm_o3d.result import PointRegistrationResult
 
 
 def register_points(
-    source: ArrayLike,
-    target: ArrayLike,
+    source: ArrayLike | PreparedCloud[Any],
+    target: ArrayLike | PreparedCloud[Any],
     source_covariances: ArrayLike | None = None,
     target_covariances: ArrayLike | None = None,
     *,
@@ -38,7 +43,8 @@ def register_points(
 
     Parameters
     ----------
-    source, target : (M, D) and (N, D), D = 2 or 3, any real dtype, any unit; at least three points each.
+    source, target : (M, D) and (N, D), D = 2 or 3, any real dtype, any unit; at least three points each. Or what
+        `prepare` made of one, with its covariances, to register it with many others.
     source_covariances, target_covariances : (M, D, D) and (N, D, D), symmetric positive semidefinite; only their
         relative size matters, over both clouds. None stands for the identity at every point; a cloud in place of an
         array gets `estimate_surface_covariances`. Singular ones, like those that Open3D estimates on flat faces, are
@@ -75,9 +81,9 @@ def register_points(
     method, limits = check_estimation_method(estimation_method), check_criteria(criteria)
     callback = check_callback(callback_after_iteration)
     check_device(device)
-    make_mixture = mixture_maker(device, source, target)
-    moving = make_mixture("source", source, source_covariances)
-    fixed = make_mixture("target", target, target_covariances)
+    make_mixture = mixture_maker(device, *(c.points if isinstance(c, PreparedCloud) else c for c in (source, target)))
+    moving = _mixture("source", source, source_covariances, make_mixture)
+    fixed = _mixture("target", target, target_covariances, make_mixture)
     if moving.dimension != fixed.dimension:
         raise InputError(
             f"target.points: expected shape (n, {moving.dimension}) as the source has, got (n, {fixed.dimension})"
@@ -87,6 +93,16 @@ def register_points(
     from adagmm_o3d.search.register import register_mixtures
 
     return register_mixtures(moving, fixed, init, method, limits, device, callback, viewpoints)
+
+
+def _mixture(
+    name: str, cloud: ArrayLike | PreparedCloud[Any], covariances: ArrayLike | None, make: Callable[..., Mixture]
+) -> Mixture:
+    if not isinstance(cloud, PreparedCloud):
+        return make(name, cloud, covariances)
+    if covariances is not None:
+        raise InputError(f"{name}_covariances: {name} was prepared with its covariances; give them to prepare()")
+    return cloud.mixture(name, make)
 
 
 def checked_viewpoints(

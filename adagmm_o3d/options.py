@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 from adagmm_o3d.arguments import real_number
 from adagmm_o3d.errors import InputError, InputTypeError
-from adagmm_o3d.kernels.limits import EPSILON
 from adagmm_o3d.lazy_open3d import is_installed, o3d
 
 DEFAULT_MAX_ITERATION = 200
@@ -142,17 +141,18 @@ def _is_open3ds(name: str, value: object) -> bool:
     return isinstance(value, tuple(getattr(kind, name) for kind in kinds))
 
 
-def surface_thickness(estimation_method: Any) -> float:
-    """The variance across the surface of covariances that a cloud lacks: `epsilon` of Open3D's method for GICP.
+def surface_thickness(estimation_method: Any) -> float | None:
+    """The variance across the surface of covariances that a cloud lacks: `epsilon` of Open3D's method for GICP; None
+    where nobody gave any.
 
     Raises
     ------
     InputError : an epsilon that is not in (0, 1].
     """
     if estimation_method is None or not is_installed():
-        return EPSILON
+        return None
     if not isinstance(estimation_method, o3d.pipelines.registration.TransformationEstimationForGeneralizedICP):
-        return EPSILON
+        return None
     epsilon = real_number("estimation_method.epsilon", estimation_method.epsilon, above=0.0)
     if epsilon > 1.0:
         raise InputError(f"estimation_method.epsilon: expected at most 1, got {epsilon:g}")

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from adagmm_o3d.arguments import Array, distance_limit, real_number
 from adagmm_o3d.array_registration import register_points
 from adagmm_o3d.errors import InputError, InputTypeError
+from adagmm_o3d.kernels.limits import EPSILON
 from adagmm_o3d.lazy_open3d import o3d
 from adagmm_o3d.options import (
     Callback,
@@ -21,6 +22,8 @@ from adagmm_o3d.options import (
     check_estimation_method,
     surface_thickness,
 )
+from adagmm_o3d.prepared import PreparedCloud
+from adagmm_o3d.result import Deferred
 from adagmm_o3d.uncertainty.surface import stand_in_covariances
 
 if TYPE_CHECKING:
@@ -29,8 +32,8 @@ if TYPE_CHECKING:
 
 @overload
 def registration_adaptive_gmm(
-    source: o3d.geometry.PointCloud,
-    target: o3d.geometry.PointCloud,
+    source: o3d.geometry.PointCloud | PreparedCloud[o3d.geometry.PointCloud],
+    target: o3d.geometry.PointCloud | PreparedCloud[o3d.geometry.PointCloud],
     max_correspondence_distance: float,
     init: ArrayLike | o3d.core.Tensor | str | None = None,
     estimation_method: EstimationMethod = None,
@@ -47,8 +50,8 @@ def registration_adaptive_gmm(
 
 @overload
 def registration_adaptive_gmm(  # type: ignore[overload-cannot-match]  # Open3D's types are skipped here, not by users
-    source: o3d.t.geometry.PointCloud,
-    target: o3d.t.geometry.PointCloud,
+    source: o3d.t.geometry.PointCloud | PreparedCloud[o3d.t.geometry.PointCloud],
+    target: o3d.t.geometry.PointCloud | PreparedCloud[o3d.t.geometry.PointCloud],
     max_correspondence_distance: float,
     init: ArrayLike | o3d.core.Tensor | str | None = None,
     estimation_method: EstimationMethod = None,
@@ -64,8 +67,8 @@ def registration_adaptive_gmm(  # type: ignore[overload-cannot-match]  # Open3D'
 
 
 def registration_adaptive_gmm(
-    source: o3d.geometry.PointCloud | o3d.t.geometry.PointCloud,
-    target: o3d.geometry.PointCloud | o3d.t.geometry.PointCloud,
+    source: o3d.geometry.PointCloud | o3d.t.geometry.PointCloud | PreparedCloud[Any],
+    target: o3d.geometry.PointCloud | o3d.t.geometry.PointCloud | PreparedCloud[Any],
     max_correspondence_distance: float,
     init: ArrayLike | o3d.core.Tensor | str | None = None,
     estimation_method: EstimationMethod = None,
@@ -88,7 +91,8 @@ def registration_adaptive_gmm(
     source, target : (M,) and (N,) point clouds of one kind, float32 or float64, at least three points each. Covariances
         come from `PointCloud.covariances` or `point.covariances`; only their relative size matters. A cloud without any
         gets those of its surface (`estimate_surface_covariances`): along its normals where it has any, as in Open3D's
-        GICP, or else from each point's nearest neighbours, for which it takes four points.
+        GICP, or else from each point's nearest neighbours, for which it takes four points. Or what `prepare` made of
+        one, to register it with many others.
     max_correspondence_distance : [input units] > 0, infinity for no limit. The method chooses no correspondences;
         within this distance `fitness`, `inlier_rmse` and `correspondence_set` count them, as Open3D's
         `evaluate_registration` does.
@@ -142,7 +146,7 @@ def registration_adaptive_gmm(
         )
     distance = distance_limit("max_correspondence_distance", max_correspondence_distance)
     voxel_size = real_number("voxel_size", voxel_size)
-    if isinstance(source, o3d.t.geometry.PointCloud) and isinstance(target, o3d.t.geometry.PointCloud):
+    if kind_of(source) == "tensor" and kind_of(target) == "tensor":
         from adagmm_o3d.tensor_registration import register_tensor_clouds
 
         return register_tensor_clouds(
@@ -158,15 +162,12 @@ def registration_adaptive_gmm(
             (source_viewpoint, target_viewpoint),
         )
     _check_legacy(source, target)
-    if voxel_size > 0:
-        source, target = (
-            _thinned(name, cloud, voxel_size, thickness) for name, cloud in (("source", source), ("target", target))
-        )
+    moving, fixed = (
+        _made_ready(name, cloud, voxel_size, thickness) for name, cloud in (("source", source), ("target", target))
+    )
     details = register_points(
-        np.asarray(source.points),
-        np.asarray(target.points),
-        legacy_covariances("source", source, thickness),
-        legacy_covariances("target", target, thickness),
+        moving,
+        fixed,
         init=start,
         estimation_method=method,
         criteria=criteria,
@@ -175,7 +176,9 @@ def registration_adaptive_gmm(
         target_viewpoint=target_viewpoint,
         callback_after_iteration=callback_after_iteration,
     )
-    evaluated = o3d.pipelines.registration.evaluate_registration(source, target, distance, details.transformation)
+    evaluated = o3d.pipelines.registration.evaluate_registration(
+        moving.cloud, fixed.cloud, distance, details.transformation
+    )
     from adagmm_o3d.open3d_results import RegistrationResult
 
     result = RegistrationResult()
@@ -189,21 +192,52 @@ def registration_adaptive_gmm(
 
 def _check_legacy(source: Any, target: Any) -> None:
     """Raise unless both are legacy clouds; that both are tensor clouds has been ruled out."""
-    legacy, tensor = o3d.geometry.PointCloud, o3d.t.geometry.PointCloud
     for name, cloud in (("source", source), ("target", target)):
-        if not isinstance(cloud, (legacy, tensor)):
+        if kind_of(cloud) not in ("legacy", "tensor"):
+            got = "an array that was prepared" if isinstance(cloud, PreparedCloud) else type(cloud).__name__
             raise InputTypeError(
                 f"{name}: expected an open3d.geometry.PointCloud or open3d.t.geometry.PointCloud, "
-                f"got {type(cloud).__name__}; for arrays see register_points()"
+                f"got {got}; for arrays see register_points()"
             )
-    if isinstance(source, tensor) or isinstance(target, tensor):
-        is_tensor = isinstance(source, tensor)
+    if kind_of(source) == "tensor" or kind_of(target) == "tensor":
+        is_tensor = kind_of(source) == "tensor"
         wanted, got = ("open3d.t", "open3d") if is_tensor else ("open3d", "open3d.t")
         convert = "open3d.t.geometry.PointCloud.from_legacy()" if is_tensor else ".to_legacy()"
         raise InputTypeError(
             f"target: expected a {wanted}.geometry.PointCloud as the source is, "
             f"got a {got}.geometry.PointCloud; convert it with {convert}"
         )
+
+
+def kind_of(cloud: Any) -> str | None:
+    """The door for a cloud, prepared or not; None for what is neither of Open3D's clouds nor prepared."""
+    if isinstance(cloud, PreparedCloud):
+        return cloud.kind
+    if isinstance(cloud, o3d.t.geometry.PointCloud):
+        return "tensor"
+    return "legacy" if isinstance(cloud, o3d.geometry.PointCloud) else None
+
+
+def _made_ready(
+    name: str,
+    cloud: o3d.geometry.PointCloud | PreparedCloud[o3d.geometry.PointCloud],
+    voxel_size: float,
+    thickness: float | None,
+) -> PreparedCloud[o3d.geometry.PointCloud]:
+    if isinstance(cloud, PreparedCloud):
+        cloud.check_made_with(name, voxel_size, thickness)
+        return cloud
+    return ready_legacy(name, cloud, voxel_size, EPSILON if thickness is None else thickness)
+
+
+def ready_legacy(
+    name: str, cloud: o3d.geometry.PointCloud, voxel_size: float, epsilon: float
+) -> PreparedCloud[o3d.geometry.PointCloud]:
+    """A legacy cloud ready to be registered, thinned where `voxel_size` is above zero; without a copy where not."""
+    if voxel_size > 0.0:
+        cloud = _thinned(name, cloud, voxel_size, epsilon)
+    arrays = np.asarray(cloud.points), legacy_covariances(name, cloud, epsilon)
+    return PreparedCloud("legacy", cloud, Deferred(lambda: arrays), voxel_size, epsilon)
 
 
 def _thinned(name: str, cloud: o3d.geometry.PointCloud, voxel_size: float, thickness: float) -> o3d.geometry.PointCloud:

@@ -16,6 +16,7 @@ from adagmm_o3d.array_registration import checked_viewpoints, register_points
 from adagmm_o3d.errors import InputError, InputTypeError
 from adagmm_o3d.kernels.cuda.availability import obstacle
 from adagmm_o3d.kernels.limits import EPSILON
+from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.open3d_results import TensorRegistrationResult
 from adagmm_o3d.options import (
     Callback,
@@ -25,6 +26,7 @@ from adagmm_o3d.options import (
     check_criteria,
 )
 from adagmm_o3d.pairs.device import check_device
+from adagmm_o3d.prepared import PreparedCloud
 from adagmm_o3d.result import Answer, Deferred, PointRegistrationResult
 from adagmm_o3d.uncertainty.surface import stand_in_covariances
 
@@ -37,8 +39,8 @@ INTEGER_KEYS = ("iteration_index", "scale_index", "scale_iteration_index")
 
 
 def register_tensor_clouds(
-    source: TensorCloud,
-    target: TensorCloud,
+    source: TensorCloud | PreparedCloud[TensorCloud],
+    target: TensorCloud | PreparedCloud[TensorCloud],
     max_correspondence_distance: float,
     init: ArrayLike | str | None,
     method: TransformationEstimationForAdaptiveGMM,
@@ -49,25 +51,32 @@ def register_tensor_clouds(
     viewpoints: tuple[ArrayLike | None, ArrayLike | None],
 ) -> TensorRegistrationResult:
     """See `registration_adaptive_gmm`; arguments are checked there."""
-    if source.device != target.device:
+    moving, fixed = (cloud.cloud if isinstance(cloud, PreparedCloud) else cloud for cloud in (source, target))
+    if moving.device != fixed.device:
         raise InputError(
-            f"target: expected on the device of source, {source.device}, got {target.device}; move one with .to()"
+            f"target: expected on the device of source, {moving.device}, got {fixed.device}; move one with .to()"
         )
-    for name, cloud in (("source", source), ("target", target)):
+    for name, cloud in (("source", moving), ("target", fixed)):
         _check_positions(name, cloud)
-    wanted, got = source.point.positions.dtype, target.point.positions.dtype
+    wanted, got = moving.point.positions.dtype, fixed.point.positions.dtype
     if wanted != got:
         raise InputTypeError(
             f"target.point.positions: expected {wanted} as the source has, got {got}; convert with .to()"
         )
-    if voxel_size > 0:
-        source, target = _thinned("source", source, voxel_size), _thinned("target", target, voxel_size)
-    register = _register_in_place if _stays_in_place(source, device) else _register_on_host
+    sides = _made_ready("source", source, voxel_size), _made_ready("target", target, voxel_size)
+    register = _register_in_place if _stays_in_place(moving, device) else register_points
     details = register(
-        source, target, init, method, criteria, device, viewpoints, _as_tensors(callback_after_iteration)
+        *sides,
+        init=init,
+        estimation_method=method,
+        criteria=criteria,
+        device=device,
+        source_viewpoint=viewpoints[0],
+        target_viewpoint=viewpoints[1],
+        callback_after_iteration=_as_tensors(callback_after_iteration),
     )
     transformation = o3d.core.Tensor(details.transformation)
-    evaluated = _evaluated(source, target, max_correspondence_distance, transformation)
+    evaluated = _evaluated(sides[0].cloud, sides[1].cloud, max_correspondence_distance, transformation)
     result = TensorRegistrationResult()
     result.transformation = transformation
     result.fitness = evaluated.fitness
@@ -77,6 +86,23 @@ def register_tensor_clouds(
     result.num_iterations = details.iterations
     result.details = details
     return result
+
+
+def _made_ready(
+    name: str, cloud: TensorCloud | PreparedCloud[TensorCloud], voxel_size: float
+) -> PreparedCloud[TensorCloud]:
+    if isinstance(cloud, PreparedCloud):
+        cloud.check_made_with(name, voxel_size, None)
+        return cloud
+    return ready_tensor(name, cloud, voxel_size)
+
+
+def ready_tensor(name: str, cloud: TensorCloud, voxel_size: float) -> PreparedCloud[TensorCloud]:
+    """A tensor cloud ready to be registered, thinned where `voxel_size` is above zero; without a copy where not."""
+    _check_positions(name, cloud)
+    ready = _thinned(name, cloud, voxel_size) if voxel_size > 0.0 else cloud
+    arrays = Deferred(lambda: (ready.point.positions.cpu().numpy(), _covariances(name, ready)))
+    return PreparedCloud("tensor", ready, arrays, voxel_size, EPSILON)
 
 
 def _evaluated(
@@ -112,34 +138,28 @@ def _stays_in_place(cloud: TensorCloud, device: DeviceName) -> bool:
 
 
 def _register_in_place(
-    source: TensorCloud,
-    target: TensorCloud,
+    source: PreparedCloud[TensorCloud],
+    target: PreparedCloud[TensorCloud],
+    *,
     init: ArrayLike | str | None,
-    method: TransformationEstimationForAdaptiveGMM,
+    estimation_method: TransformationEstimationForAdaptiveGMM,
     criteria: CriteriaArgument,
     device: DeviceName,
-    viewpoints: tuple[ArrayLike | None, ArrayLike | None],
-    callback: Callback | None,
+    source_viewpoint: ArrayLike | None,
+    target_viewpoint: ArrayLike | None,
+    callback_after_iteration: Callback | None,
 ) -> PointRegistrationResult:
-    """On the device that the clouds are on, without their points leaving it."""
-    from adagmm_o3d.kernels.cuda.clouds.tensors import current_device, on_the_device
-    from adagmm_o3d.mixtures.device_mixture import device_mixture
+    """As `register_points`, on the device that the clouds are on, without their points leaving it."""
+    from adagmm_o3d.kernels.cuda.clouds.tensors import current_device
     from adagmm_o3d.search.register import register_mixtures
 
-    limits, seen_from = check_criteria(criteria), checked_viewpoints(*viewpoints, dimension=3)
-    here = current_device(source.point.positions)
+    limits, seen_from = check_criteria(criteria), checked_viewpoints(source_viewpoint, target_viewpoint, dimension=3)
+    here = current_device(source.cloud.point.positions)
     with here:
-        mixtures = []
-        for name, cloud in (("source", source), ("target", target)):
-            covariances = _covariances_in_place(name, cloud)
-            mixtures.append(
-                device_mixture(
-                    name,
-                    on_the_device(cloud.point.positions),
-                    None if covariances is None else on_the_device(covariances),
-                )
-            )
-        details = register_mixtures(mixtures[0], mixtures[1], init, method, limits, device, callback, seen_from)
+        moving, fixed = mixture_in_place("source", source), mixture_in_place("target", target)
+        details = register_mixtures(
+            moving, fixed, init, estimation_method, limits, device, callback_after_iteration, seen_from
+        )
 
     def answered_here(ask: Deferred[Answer]) -> Deferred[Answer]:
         def answer() -> Answer:
@@ -154,6 +174,19 @@ def _register_in_place(
         assess=answered_here(details.assess),
         weigh=answered_here(details.weigh),
     )
+
+
+def mixture_in_place(name: str, ready: PreparedCloud[TensorCloud]) -> Mixture:
+    """The mixture of a cloud on the device that it lies on, which is the current one."""
+    from adagmm_o3d.kernels.cuda.clouds.tensors import on_the_device
+    from adagmm_o3d.mixtures.device_mixture import device_mixture
+
+    def make() -> Mixture:
+        covariances = _covariances_in_place(name, ready.cloud)
+        positions = on_the_device(ready.cloud.point.positions)
+        return device_mixture(name, positions, None if covariances is None else on_the_device(covariances))
+
+    return ready.kept_mixture("in place", make)
 
 
 def _covariances_in_place(name: str, cloud: TensorCloud) -> o3d.core.Tensor | None:
@@ -185,31 +218,6 @@ def _known_covariances(name: str, cloud: TensorCloud) -> o3d.core.Tensor | None:
     # What neighbours have to say of points without a normal, the host finds out.
     covariances = stand_in_covariances(_positions(cloud), normals.cpu().numpy())
     return None if covariances is None else o3d.core.Tensor(covariances, device=cloud.device)
-
-
-def _register_on_host(
-    source: TensorCloud,
-    target: TensorCloud,
-    init: ArrayLike | str | None,
-    method: TransformationEstimationForAdaptiveGMM,
-    criteria: CriteriaArgument,
-    device: DeviceName,
-    viewpoints: tuple[ArrayLike | None, ArrayLike | None],
-    callback: Callback | None,
-) -> PointRegistrationResult:
-    return register_points(
-        source.point.positions.cpu().numpy(),
-        target.point.positions.cpu().numpy(),
-        _covariances("source", source),
-        _covariances("target", target),
-        init=init,
-        estimation_method=method,
-        criteria=criteria,
-        device=device,
-        source_viewpoint=viewpoints[0],
-        target_viewpoint=viewpoints[1],
-        callback_after_iteration=callback,
-    )
 
 
 def _check_positions(name: str, cloud: TensorCloud) -> None:

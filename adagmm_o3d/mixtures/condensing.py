@@ -39,9 +39,15 @@ def condense(mixture: Mixture) -> Mixture:
     """
     if mixture.on_device or len(mixture) < CONDENSED_FROM:
         return mixture
+    condensed = mixture.kept_for("condensed", lambda: _condensed(mixture))
+    return mixture if condensed is None else condensed
+
+
+def _condensed(mixture: Mixture) -> Mixture | None:
+    """None where that saves little."""
     cells = Groups(_cells(mixture), mixture.weights)
     if len(cells) > MOST_LEFT * len(mixture):
-        return mixture
+        return None
     if mixture.isotropic:
         covariances = cells.means(mixture.covariances[:, 0, 0])[:, None, None] * np.eye(3)
         if mixture.dimension == 2:

@@ -111,6 +111,10 @@ class MergedMixture:
 
 def merge(mixture: Mixture, count: int) -> MergedMixture:
     """At most `count` components with the moments of those they stand for; vague ones are left out."""
+    return mixture.kept_for(("merge", count), lambda: _merged(mixture, count))
+
+
+def _merged(mixture: Mixture, count: int) -> MergedMixture:
     part = mixture.take(_certain(mixture, MERGE_FROM))
     if len(part) <= count:
         return _as_it_is(part)
@@ -128,7 +132,7 @@ def merge(mixture: Mixture, count: int) -> MergedMixture:
 
 def sample(mixture: Mixture, count: int) -> MergedMixture:
     """At most `count` of the mixture's own components, chosen at random with a fixed seed; vague ones are left out."""
-    return _as_it_is(mixture.take(_certain(mixture, count)))
+    return mixture.kept_for(("sample", count), lambda: _as_it_is(mixture.take(_certain(mixture, count))))
 
 
 def _as_it_is(mixture: Mixture) -> MergedMixture:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NoReturn
+from typing import NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +29,8 @@ from adagmm_o3d.mixtures.checks import (
 FACTORS = (1e-100, 1e100)
 # Where xx, xy, xz, yy, yz and zz stand in a matrix read row by row.
 PACKED = np.array([0, 1, 2, 4, 5, 8])
+
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,18 @@ class Mixture:
         self.__dict__.update(known)
         return self
 
+    def kept_for(self, key: Hashable, make: Callable[[], Made]) -> Made:
+        """What `make` makes of this mixture alone, made once and kept with it under `key`.
+
+        A prepared cloud is registered many times, on several threads too: what is made twice is the same, and one of
+        the two is kept. Nobody may change it, and it must not hold this mixture, which then nothing would free.
+        """
+        kept = self.__dict__.setdefault("_kept_for", {})
+        if key not in kept:
+            kept.setdefault(key, make())
+        made: Made = kept[key]
+        return made
+
     def points_at(self, index: NDArray[np.integer]) -> Array:
         """(k, 3) the chosen points."""
         return self.points[index]
@@ -120,7 +134,19 @@ class Mixture:
 
     def normalised(self, centre: Array, scale: float, unit: float, relative: Array) -> Mixture:
         """Points from `centre` in units of `scale`, covariances in units of `unit`, with `relative` (n,) for the
-        geometric mean of their variances."""
+        geometric mean of their variances, which follow from the unit.
+
+        The last one made is kept, with all that is made of it.
+        """
+        key = centre.tobytes(), scale, unit
+        last: tuple[Hashable, Mixture] | None = self.__dict__.get("_last_normalised")
+        if last is not None and last[0] == key:
+            return last[1]
+        mixture = self._normalised(centre, scale, unit, relative)
+        self.__dict__["_last_normalised"] = key, mixture
+        return mixture
+
+    def _normalised(self, centre: Array, scale: float, unit: float, relative: Array) -> Mixture:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             factor = relative / (self.variances / unit)
             covariances = (self.covariances / unit) * factor[:, None, None]

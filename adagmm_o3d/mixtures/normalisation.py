@@ -15,6 +15,8 @@ from adagmm_o3d.mixtures.sampling import quantile, some_of
 
 # Half of all points may be flagged as outliers: the unit of variance is that of a point among the best.
 GOOD_SHARE = 0.125
+# The digits of the unit.
+UNIT_DIGITS = 12
 # A variance this many times the unit is a flag more than a measurement.
 VAGUE = 100.0
 # What the kernels' float32 can tell apart: variances relative to the unit.
@@ -79,7 +81,9 @@ def normalise(source: Mixture, target: Mixture) -> tuple[Mixture, Mixture, Norma
     """
     sides = (source, target)
     variances = [m.variances for m in sides]
-    unit = float(quantile(np.concatenate(variances), GOOD_SHARE))
+    # A few units in the last place, by which the variances of a surface differ, must not tell one scale from another:
+    # what was made of a prepared cloud is kept for the scale of the last registration.
+    unit = float(f"{quantile(np.concatenate(variances), GOOD_SHARE):.{UNIT_DIGITS}g}")
     with np.errstate(over="ignore"):  # beyond all numbers is beyond the range
         relative = [np.minimum(np.maximum(v / unit, VARIANCE_RANGE[0]), VARIANCE_RANGE[1]) for v in variances]
     centres = [m.centroid(m.weights / r) for m, r in zip(sides, relative, strict=True)]

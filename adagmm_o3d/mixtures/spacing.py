@@ -30,5 +30,9 @@ def spacing_of_whole(mixture: Mixture) -> float:
     Of many only a part is looked at; the spacing of the whole, a surface (in 2D a curve), follows from that of the
     part.
     """
-    part = mixture.points_at(some_of(np.arange(len(mixture)), PROBED))
-    return spacing_of(part) * (len(part) / len(mixture)) ** (1.0 / (mixture.dimension - 1))
+
+    def find() -> float:
+        part = mixture.points_at(some_of(np.arange(len(mixture)), PROBED))
+        return spacing_of(part) * (len(part) / len(mixture)) ** (1.0 / (mixture.dimension - 1))
+
+    return mixture.kept_for("spacing", find)

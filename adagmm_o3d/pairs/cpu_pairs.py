@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numba
@@ -48,7 +48,6 @@ class Side:
     def __init__(self, mixture: Mixture, isotropic: bool) -> None:
         amplitudes, bits = amplitudes_and_bits(mixture)
         self._rows = 1 if isotropic else 6
-        self._mixture = mixture
         self.order = morton_order(mixture.points, last=bits == 0.0)
         self.points = _float32(mixture.points[self.order].T)
         self.amplitudes = _float32((amplitudes * mixture.weights)[self.order])
@@ -57,19 +56,29 @@ class Side:
         self.variances = _float32(mixture.largest_variances[self.order] / LOG2_SCALE)
         self.bits = _float32(bits[self.order])
 
-    def precisions(self) -> Float32:
-        """(1 or 6, n) packed inverse covariances, in powers of two."""
-        return _float32(LOG2_SCALE * self._mixture.packed_precisions()[: self._rows, self.order])
+    @cached_property
+    def tiles(self) -> Tiles:
+        """The boxes that its points lie in."""
+        return make_tiles(self.points, self.variances, self.bits)
 
-    def covariances(self) -> Float32:
-        """(1 or 6, n) packed covariances, in powers of two."""
-        return _float32(self._mixture.packed_covariances()[: self._rows, self.order] / LOG2_SCALE)
+    def precisions(self, mixture: Mixture) -> Float32:
+        """(1 or 6, n) packed inverse covariances of its mixture, in powers of two."""
+        return _float32(LOG2_SCALE * mixture.packed_precisions()[: self._rows, self.order])
+
+    def covariances(self, mixture: Mixture) -> Float32:
+        """(1 or 6, n) packed covariances of its mixture, in powers of two."""
+        return _float32(mixture.packed_covariances()[: self._rows, self.order] / LOG2_SCALE)
 
     def restore(self, values: Array) -> Array:
         """Values in the kernels' order, put back into the mixture's."""
         restored = np.empty_like(values)
         restored[self.order] = values
         return restored
+
+
+def side_of(mixture: Mixture, isotropic: bool) -> Side:
+    """A mixture as the kernels want it, laid out once."""
+    return mixture.kept_for(("side", isotropic), lambda: Side(mixture, isotropic))
 
 
 class PairLoop:
@@ -100,7 +109,7 @@ class PairLoop:
             np.array([source_sigma, target_sigma], np.float32),
             (source.points, matrices, source.amplitudes, source.variances, source.bits),
             (target.points, scaled, target.amplitudes),
-            self._tiles,
+            target.tiles,
             self._isotropic,
             0,
             self._chunks,
@@ -156,7 +165,7 @@ class PairLoop:
             _packed_pose(pose),
             self._source.points,
             self._target.points,
-            self._tiles,
+            self._target.tiles,
             0,
             self._chunks,
             nearest,
@@ -165,27 +174,31 @@ class PairLoop:
 
     @cached_property
     def _source(self) -> Side:
-        return Side(self._mixtures[0], self._isotropic)
+        return side_of(self._mixtures[0], self._isotropic)
 
     @cached_property
     def _target(self) -> Side:
-        return Side(self._mixtures[1], self._isotropic)
-
-    @cached_property
-    def _tiles(self) -> Tiles:
-        return make_tiles(self._target.points, self._target.variances, self._target.bits)
+        return side_of(self._mixtures[1], self._isotropic)
 
     @cached_property
     def _precisions(self) -> tuple[Float32, Float32, Float32]:
         """Precisions of source and target, and room for the target's at some σ."""
-        matrices = self._target.precisions()
-        return self._source.precisions(), matrices, np.empty_like(matrices)
+        source, matrices = self._laid_out("precisions", Side.precisions)
+        return source, matrices, np.empty_like(matrices)
 
     @cached_property
     def _convolved(self) -> tuple[Float32, Float32, Float32]:
         """Covariances of source and target, and the packed target with room for its own at some σ."""
-        matrices, target_matrices = self._source.covariances(), self._target.covariances()
+        matrices, target_matrices = self._laid_out("covariances", Side.covariances)
         return matrices, target_matrices, pack(self._target.points, self._target.weights32, len(matrices))
+
+    def _laid_out(self, what: str, lay_out: Callable[[Side, Mixture], Float32]) -> tuple[Float32, Float32]:
+        """The matrices of source and target, which each of the mixtures keeps."""
+        source, target = (
+            mixture.kept_for((what, self._isotropic), partial(lay_out, side, mixture))
+            for side, mixture in zip((self._source, self._target), self._mixtures, strict=True)
+        )
+        return source, target
 
     def _column_densities(self, pose: Array, sigma: float) -> Array:
         """(N,) density of the source at the target points, in the kernels' order."""
@@ -206,7 +219,7 @@ class PairLoop:
             _packed_pose(pose),
             (source.points, matrices * scale, source.weights, source.weights32, source.variances * scale, source.bits),
             (packed, target.variances * scale, target.bits),
-            self._tiles.at(scale),
+            target.tiles.at(scale),
             (self._planar, self._isotropic, columns is not self._no_columns),
             uniform * self._unit,
             mutuality,

@@ -48,15 +48,15 @@ class UploadedSide:
     """A mixture that lies on the host."""
 
     def __init__(self, mixture: Mixture, isotropic: bool) -> None:
-        self._side = Side(mixture, isotropic)
+        self._mixture, self._side = mixture, Side(mixture, isotropic)
         self.order = self._side.order
         self.boxes = upload(boxes(self._side.points, self._side.variances, self._side.bits))
 
     def precision_tiles(self) -> Any:
-        return upload(point_tiles(self._side.points, self._side.amplitudes, self._side.precisions()))
+        return upload(point_tiles(self._side.points, self._side.amplitudes, self._side.precisions(self._mixture)))
 
     def covariance_tiles(self) -> Any:
-        return upload(point_tiles(self._side.points, self._side.weights32, self._side.covariances()))
+        return upload(point_tiles(self._side.points, self._side.weights32, self._side.covariances(self._mixture)))
 
     def amplitude_tiles(self) -> Any:
         return upload(tiled(self._side.amplitudes.astype(np.float64), 0.0))

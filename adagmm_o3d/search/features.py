@@ -8,6 +8,7 @@ are wrong; sets of wrong ones rarely keep their distances.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -49,9 +50,13 @@ class Thinned(NamedTuple):
 def feature_poses(source: Mixture, target: Mixture) -> list[Array]:
     """Poses (4, 4) between two normalised mixtures in space, most supported first; none where no shape is
     recognised."""
-    parts = [_some_points(mixture) for mixture in (source, target)]
-    edge = max(_grid_edge(points, mixture) for points, mixture in zip(parts, (source, target), strict=True))
-    moving, fixed = (_thinned(points, edge) for points in parts)
+    edges = [mixture.kept_for("grid edge", partial(_grid_edge, mixture)) for mixture in (source, target)]
+    edge = max(edges)
+    moving, fixed = (
+        # On its own grid a cloud looks the same to every other one.
+        mixture.kept_for("thinned", partial(_thinned, mixture, edge)) if own == edge else _thinned(mixture, edge)
+        for mixture, own in zip((source, target), edges, strict=True)
+    )
     if min(len(moving.points), len(fixed.points)) < FEWEST:
         return []
     i, j = _correspondences(moving.features, fixed.features)
@@ -66,8 +71,9 @@ def _some_points(mixture: Mixture) -> Array:
     return mixture.points_at(some_of(np.flatnonzero(mixture.variances <= FLAGGED), THINNED_FROM))
 
 
-def _grid_edge(points: Array, mixture: Mixture) -> float:
+def _grid_edge(mixture: Mixture) -> float:
     """Edge of the cubes of which the points occupy about THINNED, or as many as hold POINTS_EACH on average."""
+    points = _some_points(mixture)
     wanted = min(THINNED, len(points) / POINTS_EACH)
     edge = float(np.ptp(points, axis=0).max()) / 30.0 if len(points) else 1.0
     for _ in range(8):
@@ -86,7 +92,8 @@ def _cells(points: Array, edge: float) -> NDArray[np.int64]:
     return (cells[:, 0] << 42) + (cells[:, 1] << 21) + cells[:, 2]
 
 
-def _thinned(points: Array, edge: float) -> Thinned:
+def _thinned(mixture: Mixture, edge: float) -> Thinned:
+    points = _some_points(mixture)
     groups = Groups(_cells(points, edge), np.ones(len(points)))
     means = np.ascontiguousarray(groups.means(points))
     scatter = np.empty((len(means), 3, 3))

@@ -19,10 +19,10 @@ RESULT, ARRAY = (
     "adagmm_o3d.result.PointRegistrationResult",
     "numpy.ndarray[tuple[Any, ...], numpy.dtype[numpy.float64]]",
 )
-REVEALED = [RESULT, ARRAY, f"{ARRAY} | None", RESULT, "float", RESULT]
+REVEALED = [RESULT, ARRAY, f"{ARRAY} | None", RESULT, "float", RESULT, RESULT, "int"]
 BAD = """\
 import open3d as o3d
-from adagmm_o3d import register_points, registration_adaptive_gmm
+from adagmm_o3d import prepare, register_points, registration_adaptive_gmm
 cloud = o3d.geometry.PointCloud()
 tensor = o3d.t.geometry.PointCloud()
 registration_adaptive_gmm(cloud, tensor, 0.05)
@@ -32,6 +32,8 @@ registration_adaptive_gmm("cloud", cloud, 0.05)
 register_points([[0.0]], [[0.0]], estimation_method="icp")
 register_points([[0.0]], [[0.0]], device=0)
 registration_adaptive_gmm(tensor, tensor, 0.05).details.overlop
+prepare(cloud, [[[1.0]]])
+registration_adaptive_gmm(tensor, prepare(cloud), 0.05)
 """
 
 

@@ -11,10 +11,11 @@ ROOT = Path(__file__).parents[2]
 # From top to bottom. A module imports from rows below its own, and from its own room.
 ROWS = (
     ("__init__",),
-    ("multi_scale", "warm_up"),
+    ("batch", "multi_scale", "preparing", "warm_up"),
     ("registration", "evaluation"),
     ("tensor_registration",),
     ("array_registration", "open3d_results"),
+    ("prepared",),
     ("search",),
     ("trust",),
     ("em",),

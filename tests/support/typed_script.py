@@ -10,6 +10,8 @@ from adagmm_o3d import (
     KinectUncertainty,
     TransformationEstimationForAdaptiveGMM,
     mark_outliers,
+    prepare,
+    register_batch,
     register_points,
     registration_adaptive_gmm,
 )
@@ -38,7 +40,17 @@ def clouds(legacy: o3d.geometry.PointCloud, tensor: o3d.t.geometry.PointCloud) -
     reveal_type(result.fitness)
     of_tensors = registration_adaptive_gmm(tensor, tensor, 0.05, callback_after_iteration=on_iteration)
     reveal_type(of_tensors.details)
+    prepared = registration_adaptive_gmm(legacy, prepare(legacy), 0.05)
+    reveal_type(prepared.details)
+    prepared_tensors = registration_adaptive_gmm(tensor, prepare(tensor, voxel_size=0.1), 0.05)
+    reveal_type(prepared_tensors.num_iterations)
     return result.details.warnings + of_tensors.details.warnings
+
+
+def many(points: NDArray[np.float32]) -> list[str]:
+    target = prepare(points)
+    results = register_batch([(points, target), {"source": points, "target": target}], init="global")
+    return [str(result) if isinstance(result, Exception) else str(result.transformation) for result in results]
 
 
 def others() -> None:

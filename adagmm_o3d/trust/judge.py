@@ -2,8 +2,9 @@
 shape.
 
 A loose fit of everything beats the exact fit of a half while the mixtures are wide, and every end of EM has a width of
-its own. So all poses are compared at one scale, the finest at which one half of a cloud still explains the other: below
-it, noise and sampling decide. Covariances that are thin across the surface make it a matter of normals too. Where
+its own. So all poses are compared at the finest scale at which one half of a cloud still explains the other, and at
+finer ones, where noise and sampling decide unless the same points were sampled; each by what suits it best, as with the
+share of points without a partner. Covariances that are thin across the surface make it a matter of normals too. Where
 viewpoints are known, points that one sensor has seen through count against a pose.
 """
 
@@ -33,6 +34,8 @@ SHARP = 2
 # The share of points that may have no partner, and the evidence that one half of a cloud has to find for the other
 # [nats per point, both together].
 UNMATCHED, KNOWN_SHAPE = 0.4, 1.0
+# What may suit a pose best: σ, in units of the scale at which the shape is known, and that share.
+SUITED = tuple(itertools.product((1.0, 0.06), (UNMATCHED, 0.8)))
 # How much coarser a single pose is looked at.
 LENIENT = 4.0
 # What it costs a pose if all points of one cloud lie where the other's sensor saw nothing [nats].
@@ -73,7 +76,9 @@ class Judge:
 
         Above 0 it is likelier that the clouds overlap as the pose says than that they do not overlap.
         """
-        evidence = _evidence(self._sides, poses, self.sigma)
+        evidence = np.max(
+            [_evidence(self._sides, poses, self.sigma, share, unmatched) for share, unmatched in SUITED], axis=0
+        )
         for k, pose in enumerate(poses):
             evidence[k] -= VIOLATION * self._violations(pose)
         return evidence
@@ -113,8 +118,14 @@ def _some_points(mixture: Mixture, count: int) -> Array:
     return mixture.points_at(some_of(np.arange(len(mixture)), count))
 
 
-def _evidence(sides: tuple[MergedMixture, MergedMixture], poses: list[Array], sigma: float) -> Array:
-    """The likelihood of EM of no iterations."""
-    starts = [Start(pose, sigma, UNMATCHED, fastest=1.0, iterations=0, follow=1.0) for pose in poses]
-    ends = run_starts(*sides, starts, limits=Limits(sigma, UNMATCHED, 0.0), level=0, compared_at=sigma)
+def _evidence(
+    sides: tuple[MergedMixture, MergedMixture],
+    poses: list[Array],
+    sigma: float,
+    finer: float = 1.0,
+    unmatched: float = UNMATCHED,
+) -> Array:
+    """The likelihood of EM of no iterations, at `finer` times σ; points without a partner are as dense as at σ."""
+    starts = [Start(pose, finer * sigma, unmatched, fastest=1.0, iterations=0, follow=1.0) for pose in poses]
+    ends = run_starts(*sides, starts, limits=Limits(finer * sigma, unmatched, 0.0), level=0, compared_at=sigma)
     return np.array([end.log_likelihood for end in ends])

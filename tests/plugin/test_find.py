@@ -10,23 +10,29 @@ from adagmm_o3d.evaluation import pose_errors
 from adagmm_o3d.lie import se_exp
 from adagmm_o3d.mixtures.mixture import make_mixture
 from adagmm_o3d.mixtures.normalisation import normalise
+from adagmm_o3d.search.around import first_end
 from adagmm_o3d.search.features import feature_poses
 from adagmm_o3d.search.levels import Levels
 from adagmm_o3d.search.schedule import SCHEDULE
+from adagmm_o3d.search.starts import wide
 from adagmm_o3d.trust.free_space import RangeImage
 from adagmm_o3d.trust.judge import JUDGED, Judge
 
 
 class Parts:
-    """Two parts of a body, each with so much of its points in common with the other, and the pose between them."""
+    """Two parts of a body, each with so much of its points in common with the other, and the pose between them.
 
-    def __init__(self, seed, share, turn, n=2400):
+    same : whether both are parts of one sample of the body, as a cloud and its copy are, or each of its own.
+    """
+
+    def __init__(self, seed, share, turn, n=2400, same=False):
         rng = np.random.default_rng([seed, int(100 * share)])
         points = body_with_head(rng, n, 3)
         along = points @ rng.normal(size=3)
         kept = 1.0 / (2.0 - share)
-        source = points[along <= np.quantile(along, kept)][::2]
-        target = points[along >= np.quantile(along, 1.0 - kept)][1::2]
+        source, target = points[along <= np.quantile(along, kept)], points[along >= np.quantile(along, 1.0 - kept)]
+        if not same:
+            source, target = source[::2], target[1::2]
         axis = rng.normal(size=3)
         self.T = se_exp(np.concatenate([turn * axis / np.linalg.norm(axis), 0.1 * rng.normal(size=3)]))
         self.source = source + 0.004 * rng.normal(size=source.shape)
@@ -102,6 +108,17 @@ def test_the_judge_prefers_the_truth_to_a_pose_where_all_overlaps_loosely():
     judge = Judge(source, target, Levels(source, target, SCHEDULE).sampled(JUDGED))
     true, centred = judge.evidence([normalisation.pose_in(parts.T), np.eye(4)])
     assert judge.sharp and true > 0.0 > centred
+
+
+def test_a_fifth_of_the_same_points_is_evidence_and_a_loose_fit_of_all_is_none():
+    for seed in range(4):
+        parts = Parts(seed, 0.2, turn=0.2, n=1200, same=True)
+        source, target, normalisation = parts.mixtures()
+        levels = Levels(source, target, SCHEDULE)
+        loose = first_end(levels, [wide(np.eye(4))])[1].pose
+        judge = Judge(source, target, levels.sampled(JUDGED))
+        true, wrong = judge.evidence([normalisation.pose_in(parts.T), loose])
+        assert true > 0.0 > wrong, seed
 
 
 def test_shapes_that_share_nothing_are_not_trusted():

@@ -186,7 +186,7 @@ def _say_what_stands_for(method: str, kernel: str | None) -> None:
 def check_criteria(value: Any, *, name: str = "criteria") -> Criteria:
     """When to stop, from Open3D's ICPConvergenceCriteria, or `Criteria`; None and Open3D's defaults for ours.
 
-    `name` is what an error calls it. `relative_fitness` is not needed: the share of points with a partner settles with
+    `name` is what an error calls it. `relative_fitness` is not read: the share of points with a partner settles with
     the pose.
 
     Raises

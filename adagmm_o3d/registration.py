@@ -105,7 +105,7 @@ def registration_adaptive_gmm(
         covariances.
     criteria : Open3D's ICPConvergenceCriteria, legacy or tensor. `relative_rmse` bounds the change of the weighted
         residual in the last iteration, `max_iteration` the iterations reported; with 0 of them `init` is evaluated, and
-        is the result. `relative_fitness` is not needed. Left out, or Open3D's own defaults: 1e-3 and 200.
+        is the result. `relative_fitness` is not read. Left out, or Open3D's own defaults: 1e-3 and 200.
     voxel_size : [input units] > 0 downsamples both clouds first, as `o3d.t.pipelines.registration.icp` does.
     device : "cpu", "cuda", or "auto": a GPU where there is one and enough to do. Tensor clouds on a CUDA device are
         registered there, whatever their size, unless "cpu" is asked for or `adagmm-o3d[cuda]` is not installed.
@@ -115,7 +115,8 @@ def registration_adaptive_gmm(
     callback_after_iteration : called after each EM iteration with `iteration_index`, `scale_index`,
         `scale_iteration_index`, `fitness`, `inlier_rmse`, `transformation`, `sigma` and `energy`; tensors for tensor
         clouds, Python numbers and an array for legacy ones. There `fitness` is the estimated overlap and `inlier_rmse`
-        the weighted residual [input units].
+        the weighted residual [input units]. Iterations of the last level, on all points, are told as they happen; those
+        of the levels before, of which there is a record of the winning start alone, at once when the search has ended.
 
     Returns
     -------

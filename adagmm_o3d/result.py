@@ -21,6 +21,13 @@ class StopReason(StrEnum):
     DEGENERATE = "the pairs leave the pose undetermined"
 
 
+def stop_reason(settled: bool, determined: bool) -> StopReason:
+    """Why a loop ended that had pairs with weight, or ran for no iteration; `determined` of its last step."""
+    if not determined:
+        return StopReason.DEGENERATE
+    return StopReason.CONVERGED if settled else StopReason.MAX_ITERATION
+
+
 class Iteration(NamedTuple):
     """One EM iteration, in normalised coordinates.
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from typing import Protocol
 
 import numpy as np
 
 from adagmm_o3d.arguments import Array
+from adagmm_o3d.em.m_step import moved
 from adagmm_o3d.em.sigma_rules import Scale, SigmaRule
 from adagmm_o3d.em.unmatched import uniform_density
-from adagmm_o3d.kernels.cpu.acceleration import LOG_SIGMA, UNMATCHED_SHARE, accelerate, empty_memory, forget
-from adagmm_o3d.lie import se_exp
+from adagmm_o3d.kernels.cpu.acceleration import STATE
+from adagmm_o3d.kernels.update import Rule, call_follow_pairs, fresh_memory
 from adagmm_o3d.pairs.protocol import Pairs, PairSums, PosteriorSums
 
 # The share of points without a partner is estimated within these bounds: never none, never nearly all.
@@ -22,8 +22,6 @@ LEAST_UNMATCHED, MOST_UNMATCHED = 0.05, 0.7
 SAMPLED_SIGMA, FINEST_SIGMA = 1e-4, 1e-6
 # How fast σ may fall on all points: to this share of itself in an iteration.
 FASTEST = 0.8
-# σ counts as settled when it changes by less than this share.
-SIGMA_TOLERANCE = 0.01
 
 
 class Expectation(Protocol):
@@ -55,7 +53,7 @@ class AdaptiveExpectation:
         return self._pairs.sums(pose, self.scale.source, self.scale.target)
 
     def advance(self, pose: Array, delta: Array, sums: PairSums, settled: bool) -> tuple[Array, bool]:
-        pose = se_exp(delta) @ pose
+        pose = moved(pose, delta)
         scale = self._rule.next(self._pairs, pose, self.scale, settled)
         self.scale = scale or self.scale
         return pose, scale is None
@@ -85,34 +83,24 @@ class PosteriorExpectation:
         mutuality: float,
         fastest: float = FASTEST,
         floor: float = FINEST_SIGMA,
+        accelerated: bool = True,
     ) -> None:
-        self._pairs, self._dimension = pairs, dimension
-        self._fastest, self._floor, self._mutuality = fastest, floor, mutuality
+        self._pairs, self._dimension, self._mutuality = pairs, dimension, mutuality
+        self._rule = Rule(dimension, floor, fastest, 1.0, LEAST_UNMATCHED, MOST_UNMATCHED, accelerated)
         self.scale = Scale(sigma, sigma)
         self.unmatched = unmatched
-        self._memory = empty_memory()
-        forget(self._memory)
+        self._memory = fresh_memory(1)[0]
 
     def e_step(self, pose: Array) -> PosteriorSums:
         return self._pairs.posterior_sums(pose, self.scale.target, self._uniform(), self._mutuality)
 
     def advance(self, pose: Array, delta: Array, sums: PairSums, settled: bool) -> tuple[Array, bool]:
-        assert isinstance(sums, PosteriorSums)
-        old = self.scale.target
-        wanted = max(old * sums.energy / sums.weight / self._dimension, self._floor)
-        new = max(self._fastest * old, wanted)
-        unmatched = min(max(1.0 - sums.overlap, LEAST_UNMATCHED), MOST_UNMATCHED)
-        residual = np.array([*delta, math.log(new / old), unmatched - self.unmatched])
-        step = residual.copy()
-        if new > wanted:
-            forget(self._memory)
-        else:
-            accelerate(residual, math.sqrt(old), self._memory, step)
-            new = max(old * math.exp(step[LOG_SIGMA]), self._floor)
-        self.unmatched = min(max(self.unmatched + step[UNMATCHED_SHARE], LEAST_UNMATCHED), MOST_UNMATCHED)
-        self.scale = Scale(new, new)
-        done = settled and abs(residual[LOG_SIGMA]) < SIGMA_TOLERANCE
-        return se_exp(step[:LOG_SIGMA]) @ pose, done
+        step = np.empty(STATE)
+        sigma, self.unmatched, still = call_follow_pairs(
+            sums.total, delta, self.scale.target, self.unmatched, self._rule, self._memory, step
+        )
+        self.scale = Scale(sigma, sigma)
+        return moved(pose, step), settled and still
 
     def matched(self, sums: PairSums) -> float:
         assert isinstance(sums, PosteriorSums)

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
-
-import numpy as np
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.expectation import Expectation
 from adagmm_o3d.em.m_step import solve_step
 from adagmm_o3d.options import Criteria
-from adagmm_o3d.result import Iteration, StopReason
+from adagmm_o3d.result import Iteration, StopReason, stop_reason
 
 
 @dataclass(frozen=True)
@@ -40,6 +37,7 @@ def expectation_maximisation(
     """
     pose = start
     iterations: list[Iteration] = []
+    done, determined = False, True
     for _ in range(criteria.max_iteration):
         # E-step: the weights of all pairs at the old pose, and their sums (Eq. 5).
         sigma = expectation.scale.source
@@ -47,13 +45,14 @@ def expectation_maximisation(
         if not sums.weight > 0.0:
             return Outcome(pose, tuple(iterations), StopReason.NO_OVERLAP)
         # M-step: R, t that lower Eq. 5, the weights held.
-        delta = relaxation * solve_step(sums.hessian, sums.gradient, dimension)
-        settled = float(np.linalg.norm(delta)) <= math.sqrt(criteria.relative_rmse * sigma)
+        delta, determined, short = solve_step(
+            sums.total, dimension, relaxation=relaxation, relative_rmse=criteria.relative_rmse, sigma=sigma
+        )
         # σ: both mixtures shrink as the clouds come together.
-        pose, done = expectation.advance(pose, delta, sums, settled)
+        pose, done = expectation.advance(pose, delta, sums, short)
         iterations.append(Iteration(pose, sigma, sums.energy / sums.weight, expectation.matched(sums), level))
         if observe is not None:
             observe(iterations[-1])
         if done:
-            return Outcome(pose, tuple(iterations), StopReason.CONVERGED)
-    return Outcome(pose, tuple(iterations), StopReason.MAX_ITERATION)
+            break
+    return Outcome(pose, tuple(iterations), stop_reason(done, determined))

@@ -6,22 +6,39 @@ included. One step for every E-step (generalised EM) reaches the fixed points of
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from adagmm_o3d.arguments import Array
+from adagmm_o3d.kernels.update import call_m_step, call_move
 
 # The free directions of a left perturbation δ = (ω, v): in the plane z = 0 the turn about z and the shifts in x and y.
 FREE = {2: np.array([2, 3, 4]), 3: np.arange(6)}
-# A direction this much softer than the stiffest one is not determined by the pairs and gets no step.
-SOFT = 1e-9
 
 
-def solve_step(hessian: Array, gradient: Array, dimension: int) -> Array:
-    """(6,) δ = -H⁻¹ g on the free directions of the dimension."""
-    free = FREE[dimension]
-    values, vectors = np.linalg.eigh(hessian[np.ix_(free, free)])
-    firm = values > SOFT * values[-1]
-    inverse = np.where(firm, 1.0 / np.where(firm, values, 1.0), 0.0)
-    delta = np.zeros(6)
-    delta[free] = -vectors @ (inverse * (vectors.T @ gradient[free]))
-    return delta
+class Step(NamedTuple):
+    """delta : (6,) δ = (ω, v), 0 in directions that are not free or not determined.   determined : whether the pairs
+    determine all free ones.   short : whether it is too short to change the residual."""
+
+    delta: Array
+    determined: bool
+    short: bool
+
+
+def solve_step(total: Array, dimension: int, *, relaxation: float, relative_rmse: float, sigma: float) -> Step:
+    """-H⁻¹ g of the sums (layout.TOTAL_SUMS) on the free directions of the dimension, times `relaxation`.
+
+    It is short if it is no longer than √relative_rmse standard deviations of the mixtures at `sigma`.
+    """
+    delta = np.empty(6)
+    return Step(delta, *call_m_step(total, dimension == 2, float(relaxation), relative_rmse, sigma, delta))
+
+
+def moved(pose: Array, delta: Array) -> Array:
+    """`pose` (4, 4) turned by the first half of δ and then shifted by the second; see `kernels.update.move`."""
+    rows = pose[:3].flatten()
+    call_move(delta, rows)
+    new = pose.copy()
+    new[:3] = rows.reshape(3, 4)
+    return new

@@ -13,8 +13,9 @@ from adagmm_o3d.em.unmatched import COMPARED_SIGMA, world_density
 from adagmm_o3d.kernels.cpu import em as kernel
 from adagmm_o3d.kernels.cpu.ranges import run_in_ranges
 from adagmm_o3d.kernels.formulas import LOG2_SCALE
+from adagmm_o3d.kernels.update import NO_OVERLAP, SETTLED, fresh_memory
 from adagmm_o3d.mixtures.merging import COARSE_BITS, MergedMixture
-from adagmm_o3d.result import Iteration
+from adagmm_o3d.result import Iteration, StopReason, stop_reason
 
 # With fewer pairs than this for each thread, in all iterations, starting it costs more than it brings.
 PAIRS_PER_THREAD = 500_000
@@ -42,7 +43,7 @@ class Limits:
     floor : least σ.   least_unmatched : least share of points without a partner.   relative_rmse : as in
     `options.Criteria`.   accelerated : whether steps are extrapolated. A long step may end in another optimum than the
     one that its start leads to, so not where ends are still compared.   bits : pairs are left out where their weight is
-    below 2**-bits of what it would be without a distance between them.
+    below 2**-bits of what it would be without a distance between them.   relaxation : lengthens every step.
     """
 
     floor: float
@@ -50,6 +51,7 @@ class Limits:
     relative_rmse: float
     accelerated: bool = False
     bits: float = COARSE_BITS
+    relaxation: float = 1.0
 
 
 class End(NamedTuple):
@@ -58,6 +60,7 @@ class End(NamedTuple):
     log_likelihood : mean over the points, both clouds added [nats], at the end's own σ and unmatched share, but for a
     constant: neither a pose that explains every point badly nor one that explains a part of them well is favoured.
     trail : for each level the number and what is kept of its iterations (n, kernel.HISTORY_COLUMNS).
+    state : one of kernels.update.STATES.   determined : whether the pairs determined the last step.
     """
 
     pose: Array
@@ -66,7 +69,20 @@ class End(NamedTuple):
     log_likelihood: float
     start: Array
     trail: tuple[tuple[int, Array], ...]
-    settled: bool
+    state: int
+    determined: bool
+
+    @property
+    def settled(self) -> bool:
+        """Whether neither pose nor σ moved any more."""
+        return self.state == SETTLED
+
+    @property
+    def stop_reason(self) -> StopReason:
+        """Why EM goes no further, where it may not have any more iterations."""
+        if self.state == NO_OVERLAP:
+            return StopReason.NO_OVERLAP
+        return stop_reason(self.settled, self.determined)
 
     @property
     def iterations(self) -> tuple[Iteration, ...]:
@@ -86,10 +102,12 @@ def run_starts(
     limits: Limits,
     level: int,
     compared_at: float = COMPARED_SIGMA,
+    memories: Array | None = None,
 ) -> list[End]:
     """Run EM from every start; the ends, in the order of the starts.
 
-    `compared_at` is the σ whose density of points without a partner the ends' likelihoods have in common.
+    `compared_at` is the σ whose density of points without a partner the ends' likelihoods have in common. `memories`,
+    see `kernels.update.fresh_memory`, are what a run that goes on from its end keeps of it.
     """
     if not starts:
         return []
@@ -100,7 +118,18 @@ def run_starts(
     half, isotropic = 0.5 * source.dimension, source.isotropic and target.isotropic
     sides = source.as_source(isotropic), target.as_target(isotropic)
     world = LOG2_SCALE**half * world_density(source.dimension)
-    bounds = limits.floor, limits.least_unmatched, MOST_UNMATCHED
+    memories = fresh_memory(len(starts)) if memories is None else memories
+    run_limits = kernel.RunLimits(
+        source.dimension,
+        limits.floor,
+        limits.least_unmatched,
+        MOST_UNMATCHED,
+        float(limits.relative_rmse),
+        float(limits.relaxation),
+        limits.accelerated,
+        limits.bits,
+        compared_at,
+    )
 
     def run(first: int, last: int) -> None:
         part = slice(first, last)
@@ -108,13 +137,10 @@ def run_starts(
             poses[part],
             columns[part],
             *sides,
-            (source.dimension == 2, isotropic),
+            isotropic,
             world,
-            compared_at,
-            bounds,
-            limits.relative_rmse,
-            limits.accelerated,
-            limits.bits,
+            run_limits,
+            memories[part],
             ends[part],
             history[part],
         )
@@ -130,9 +156,10 @@ def run_starts(
             log_likelihood=log_likelihood,
             start=starts[k].pose,
             trail=((level, history[k, : int(iterations)]),),
-            settled=bool(settled),
+            state=int(state),
+            determined=bool(determined),
         )
-        for k, (sigma, unmatched, log_likelihood, iterations, settled) in enumerate(ends.tolist())
+        for k, (sigma, unmatched, log_likelihood, iterations, state, determined) in enumerate(ends.tolist())
     ]
 
 

@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import math
 
+from adagmm_o3d.kernels.update import density_without_partner
+
 # In units of the radius to the power of the dimension, less one: so many circles, or spheres.
 AREA = {2: 7.0 * 2.0 * math.pi, 3: 4.0 * 4.0 * math.pi}
 # Ends with σ of their own are compared at the density that belongs to this one: what a pose leaves unexplained costs
@@ -21,7 +23,7 @@ COMPARED_SIGMA = 0.025
 def uniform_density(unmatched: float, sigma: float, dimension: int) -> float:
     """Density of the points without a partner, where they are a share `unmatched` of all, relative to that of a mixture
     at scale `sigma`, without the constant (2π)^(-D/2)."""
-    return world_density(dimension) / math.sqrt(sigma) * unmatched / (1.0 - unmatched)
+    return density_without_partner(world_density(dimension), sigma, unmatched)
 
 
 def world_density(dimension: int) -> float:

@@ -19,7 +19,7 @@ from adagmm_o3d.kernels.cpu.nearest import nearest_sq
 from adagmm_o3d.kernels.cpu.ranges import run_in_ranges
 from adagmm_o3d.kernels.cpu.tiles import Tiles, make_tiles, morton_order
 from adagmm_o3d.kernels.formulas import LOG2_SCALE
-from adagmm_o3d.kernels.layout import GRADIENT, HESSIAN, TOTAL_ENERGY, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
+from adagmm_o3d.kernels.layout import TOTAL_ENERGY, TOTAL_SUMS, TOTAL_WEIGHT
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.pairs.protocol import PairSums, PosteriorSums
 
@@ -31,7 +31,6 @@ CUT_BITS = 24.0
 PAIRS_PER_THREAD = 200_000
 # The column sums are kept apart for this many parts of the source, whatever the number of threads, and added in order.
 BANDS = 16
-UPPER = np.triu_indices(6)
 
 
 def amplitudes_and_bits(mixture: Mixture) -> tuple[Array, Array]:
@@ -116,14 +115,7 @@ class PairLoop:
             partials,
             row_weights,
         )
-        total = total_of(partials)
-        return PairSums(
-            symmetric(total[HESSIAN:GRADIENT]),
-            total[GRADIENT:TOTAL_WEIGHT],
-            total[TOTAL_WEIGHT],
-            total[TOTAL_ENERGY],
-            source.restore(row_weights),
-        )
+        return PairSums(total_of(partials), source.restore(row_weights))
 
     def posterior_sums(self, pose: Array, sigma: float, uniform: float, mutuality: float = 0.0) -> PosteriorSums:
         """The E-step on convolved Gaussians at `pose` (4, 4), summed up for the M-step.
@@ -142,19 +134,12 @@ class PairLoop:
             packed[FACTOR, :n] = (uniform / (columns + uniform)) ** mutuality
         partials = np.empty((self._bands, TOTAL_SUMS))
         densities = self._convolve(pose, sigma, uniform, mutuality, self._no_columns, partials)
-        total = total_of(partials)
 
         def find_column_densities() -> Array:
             return target.restore(self._column_densities(pose, sigma) if columns is None else columns)
 
         return PosteriorSums(
-            symmetric(total[HESSIAN:GRADIENT]),
-            total[GRADIENT:TOTAL_WEIGHT],
-            total[TOTAL_WEIGHT],
-            total[TOTAL_ENERGY],
-            self._source.restore(densities / (densities + uniform)),
-            total[TOTAL_MATCHED],
-            find_column_densities,
+            total_of(partials), self._source.restore(densities / (densities + uniform)), find_column_densities
         )
 
     def nearest_sq(self, pose: Array) -> Array:
@@ -249,13 +234,6 @@ def total_of(partials: Array) -> Array:
     total[:TOTAL_WEIGHT] /= LOG2_SCALE
     total[TOTAL_ENERGY] /= LOG2_SCALE
     return total
-
-
-def symmetric(upper: Array) -> Array:
-    matrix = np.empty((6, 6))
-    matrix[UPPER] = upper
-    matrix.T[UPPER] = upper
-    return matrix
 
 
 def _packed_pose(pose: Array) -> Float32:

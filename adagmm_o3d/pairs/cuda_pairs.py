@@ -27,9 +27,9 @@ from adagmm_o3d.kernels.cuda.front_end import TILE, cuda
 from adagmm_o3d.kernels.cuda.held import Held, Turn, upload
 from adagmm_o3d.kernels.cuda.tiles import tiled
 from adagmm_o3d.kernels.formulas import LOG2_SCALE
-from adagmm_o3d.kernels.layout import GRADIENT, HESSIAN, TOTAL_ENERGY, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
+from adagmm_o3d.kernels.layout import TOTAL_SUMS
 from adagmm_o3d.mixtures.mixture import Mixture
-from adagmm_o3d.pairs.cpu_pairs import symmetric, total_of
+from adagmm_o3d.pairs.cpu_pairs import total_of
 from adagmm_o3d.pairs.cuda_sides import make_side
 from adagmm_o3d.pairs.protocol import PairSums, PosteriorSums
 
@@ -74,7 +74,7 @@ class CudaPairSums(PairSums):
     """`PairSums` whose row_weights are read from the device when they are asked for."""
 
     def __init__(self, total: Array, rows: Held) -> None:
-        self.__dict__.update(_of_total(total), _rows=rows)
+        self.__dict__.update(total=total_of(total[None]), _rows=rows)
 
     @cached_property
     def row_weights(self) -> Array:  # type: ignore[override]
@@ -86,26 +86,12 @@ class CudaPosteriorSums(PosteriorSums):
 
     def __init__(self, total: Array, rows: Held, find_columns: Callable[[], Held]) -> None:
         self.__dict__.update(
-            _of_total(total),
-            overlap=float(total[TOTAL_MATCHED]),
-            find_column_densities=lambda: find_columns().read(),
-            _rows=rows,
+            total=total_of(total[None]), find_column_densities=lambda: find_columns().read(), _rows=rows
         )
 
     @cached_property
     def row_weights(self) -> Array:  # type: ignore[override]
         return self.__dict__["_rows"].read()
-
-
-def _of_total(total: Array) -> dict[str, Any]:
-    """The fields of `PairSums` that are in layout.TOTAL_SUMS."""
-    total = total_of(total[None])
-    return {
-        "hessian": symmetric(total[HESSIAN:GRADIENT]),
-        "gradient": total[GRADIENT:TOTAL_WEIGHT],
-        "weight": float(total[TOTAL_WEIGHT]),
-        "energy": float(total[TOTAL_ENERGY]),
-    }
 
 
 class CudaPairLoop:

@@ -7,33 +7,59 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
+import numpy as np
+
 from adagmm_o3d.arguments import Array
+from adagmm_o3d.kernels.layout import GRADIENT, HESSIAN, TOTAL_ENERGY, TOTAL_MATCHED, TOTAL_WEIGHT
+
+UPPER = np.triu_indices(6)
 
 
 @dataclass(frozen=True)
 class PairSums:
     """What one pass over all pairs leaves behind.
 
-    hessian (6, 6) and gradient (6,) belong to ½ Q (the paper's Eq. 5), the weights held, at a left perturbation
-    exp(δ)·T with δ = (ω, v). energy is Q, weight the sum of all weights, row_weights (M,) that of each source point.
+    total (layout.TOTAL_SUMS,) float64 is what the M-step needs; row_weights (M,) the sum of the weights of each source
+    point.
     """
 
-    hessian: Array
-    gradient: Array
-    weight: float
-    energy: float
+    total: Array
     row_weights: Array
+
+    @property
+    def hessian(self) -> Array:
+        """(6, 6) of ½ Q (the paper's Eq. 5), the weights held, at a left perturbation exp(δ)·T with δ = (ω, v)."""
+        matrix = np.empty((6, 6))
+        matrix[UPPER] = self.total[HESSIAN:GRADIENT]
+        matrix.T[UPPER] = matrix[UPPER]
+        return matrix
+
+    @property
+    def gradient(self) -> Array:
+        """(6,) of the same."""
+        return self.total[GRADIENT:TOTAL_WEIGHT]
+
+    @property
+    def weight(self) -> float:
+        """The sum of all weights."""
+        return float(self.total[TOTAL_WEIGHT])
+
+    @property
+    def energy(self) -> float:
+        """Q."""
+        return float(self.total[TOTAL_ENERGY])
 
 
 @dataclass(frozen=True)
 class PosteriorSums(PairSums):
-    """The same with weights that are posterior probabilities; row_weights are those of having a partner at all.
+    """The same with weights that are posterior probabilities; row_weights are those of having a partner at all."""
 
-    overlap : share of the source that has a partner.
-    """
-
-    overlap: float
     find_column_densities: Callable[[], Array]
+
+    @property
+    def overlap(self) -> float:
+        """Share of the source that has a partner."""
+        return float(self.total[TOTAL_MATCHED])
 
     @cached_property
     def column_densities(self) -> Array:

@@ -19,7 +19,8 @@ from adagmm_o3d.em.expectation import (
     PosteriorExpectation,
 )
 from adagmm_o3d.em.loop import Outcome, expectation_maximisation
-from adagmm_o3d.em.runs import End, Limits, Start, run_starts
+from adagmm_o3d.em.runs import End, Limits, Start, joined, run_starts
+from adagmm_o3d.kernels.update import MOVING, fresh_memory
 from adagmm_o3d.mixtures.condensing import SIGMA_FLOOR, condense
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.sampling import some_of
@@ -32,6 +33,8 @@ from adagmm_o3d.search.levels import Levels
 from adagmm_o3d.trust.pose_covariance import Fit
 
 LEVEL = 3
+# Whether steps are extrapolated, see `kernels.cpu.acceleration`: here, where no ends are compared any more.
+ACCELERATED = True
 # σ has come down to the floor of condensed clouds when it is within this factor of it. On all points it then begins at
 # this share of the floor, where few pairs see each other and the pose is long good enough, and falls faster. There it
 # is clear which points belong together, and one posterior of a pair does.
@@ -68,7 +71,7 @@ def refine(
     """Carry an end of the search to convergence; its iterations stand before those that follow."""
     source, target = levels.source, levels.target
     if levels.small and mutuality == 0.0:
-        outcome, fit = _refine_compiled(levels, end, criteria, observe)
+        outcome, fit = _refine_compiled(levels, end, criteria, relaxation, observe)
         return Refined(outcome, fit, make_pair_loop(source, target, device), source, target)
 
     def run(
@@ -83,6 +86,7 @@ def refine(
             mutuality=mutuality,
             fastest=fastest,
             floor=floor,
+            accelerated=ACCELERATED,
         )
         outcome = expectation_maximisation(
             expectation,
@@ -126,18 +130,31 @@ def _part(mixture: Mixture, count: int) -> Mixture:
     return mixture.take(some_of(np.arange(len(mixture)), count))
 
 
-def _refine_compiled(levels: Levels, end: End, criteria: Criteria, observe: Observe | None) -> tuple[Outcome, Fit]:
-    """Without a return to Python, which would cost small clouds more than their pairs do."""
-    start = Start(end.pose, end.sigma, end.unmatched, FASTEST, criteria.max_iteration, follow=1.0)
-    limits = Limits(SAMPLED_SIGMA, LEAST_UNMATCHED, criteria.relative_rmse, accelerated=True, bits=CUT_BITS)
-    refined = run_starts(*levels.sampled(levels.schedule.small), [start], limits=limits, level=LEVEL)[0]
-    iterations = refined.iterations
-    if observe is not None:
-        for iteration in iterations:
-            observe(iteration)
-    if not iterations[-1].matched > 0.0:
-        reason = StopReason.NO_OVERLAP
-    else:
-        reason = StopReason.CONVERGED if refined.settled else StopReason.MAX_ITERATION
+def _refine_compiled(
+    levels: Levels, end: End, criteria: Criteria, relaxation: float, observe: Observe | None
+) -> tuple[Outcome, Fit]:
+    """Without a return to Python, which would cost small clouds more than their pairs do; where somebody observes, with
+    one after each iteration, and to the same bits."""
+    sides = levels.sampled(levels.schedule.small)
+    limits = Limits(
+        SAMPLED_SIGMA,
+        LEAST_UNMATCHED,
+        criteria.relative_rmse,
+        accelerated=ACCELERATED,
+        bits=CUT_BITS,
+        relaxation=relaxation,
+    )
+    refined, left, memories = end, criteria.max_iteration, fresh_memory(1)
+    while left > 0:
+        most = left if observe is None else 1
+        start = Start(refined.pose, refined.sigma, refined.unmatched, FASTEST, most, follow=1.0)
+        ends = run_starts(*sides, [start], limits=limits, level=LEVEL, memories=memories)
+        if observe is not None:
+            for iteration in ends[0].iterations:
+                observe(iteration)
+        left -= most
+        refined = joined([refined], ends)[0]
+        if refined.state != MOVING:
+            break
     fit = Fit(refined.pose, refined.sigma, refined.unmatched, mutuality=0.0)
-    return Outcome(refined.pose, end.iterations + iterations, reason), fit
+    return Outcome(refined.pose, refined.iterations, refined.stop_reason), fit

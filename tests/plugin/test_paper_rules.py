@@ -9,6 +9,7 @@ from shapes import bumpy, move, turn
 
 from adagmm_o3d import TransformationEstimationForAdaptiveGMM, register_points
 from adagmm_o3d.em.m_step import solve_step
+from adagmm_o3d.kernels.layout import GRADIENT, HESSIAN, TOTAL_SUMS, TOTAL_WEIGHT
 from adagmm_o3d.mixtures.mixture import make_mixture
 from adagmm_o3d.mixtures.normalisation import normalise
 
@@ -121,19 +122,53 @@ def test_the_gradient_of_equation_5_vanishes_at_the_end(arguments, rule):
     assert np.linalg.norm(step) < ATOL
 
 
+def step_of(hessian, gradient, dimension, relaxation=1.0, relative_rmse=1e-3, sigma=0.1):
+    total = np.zeros(TOTAL_SUMS)
+    total[HESSIAN:GRADIENT], total[GRADIENT:TOTAL_WEIGHT] = hessian[np.triu_indices(6)], gradient
+    return solve_step(total, dimension, relaxation=relaxation, relative_rmse=relative_rmse, sigma=sigma)
+
+
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_the_step_solves_the_normal_equations_on_the_free_directions(dimension):
     rng = np.random.default_rng(dimension)
     factor = rng.normal(size=(6, 6))
     hessian, gradient = factor @ factor.T + 0.1 * np.eye(6), rng.normal(size=6)
     free = [2, 3, 4] if dimension == 2 else [0, 1, 2, 3, 4, 5]
-    step = solve_step(hessian, gradient, dimension)
+    step = step_of(hessian, gradient, dimension)
+    assert step.determined
     expected = -np.linalg.solve(hessian[np.ix_(free, free)], gradient[free])
-    np.testing.assert_allclose(step[free], expected, rtol=1e-9, atol=1e-12)
-    np.testing.assert_array_equal(np.delete(step, free), np.zeros(6 - len(free)))
+    np.testing.assert_allclose(step.delta[free], expected, rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(np.delete(step.delta, free), np.zeros(6 - len(free)))
+    longer = step_of(hessian, gradient, dimension, relaxation=1.7)
+    np.testing.assert_allclose(longer.delta, 1.7 * step.delta, rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_step_is_short_in_standard_deviations_of_the_mixtures(dimension):
+    hessian, gradient = np.eye(6), np.full(6, 0.01)
+    size = np.linalg.norm(step_of(hessian, gradient, dimension).delta)
+    for share, short in ((1.001, True), (0.999, False)):
+        step = step_of(hessian, gradient, dimension, relative_rmse=share * size**2 / 0.04, sigma=0.04)
+        assert step.short is short
 
 
 def test_a_direction_that_the_pairs_leave_free_gets_no_step():
     hessian = np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 1e-12])
-    step = solve_step(hessian, np.ones(6), 3)
-    np.testing.assert_allclose(step, [-1.0, -1.0 / 2.0, -1.0 / 3.0, -1.0 / 4.0, -1.0 / 5.0, 0.0], rtol=1e-12, atol=0)
+    step = step_of(hessian, np.ones(6), 3)
+    assert not step.determined
+    np.testing.assert_allclose(
+        step.delta, [-1.0, -1.0 / 2.0, -1.0 / 3.0, -1.0 / 4.0, -1.0 / 5.0, 0.0], rtol=1e-12, atol=0
+    )
+
+
+def test_directions_that_are_free_together_get_no_step_apart():
+    # No axis of the six is free by itself; of a soft combination one of them is held, whichever way they are turned.
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        axes = np.linalg.qr(rng.normal(size=(6, 6)))[0]
+        hessian = axes @ np.diag([5.0, 4.0, 3.0, 2.0, 1e-13, 1e-13]) @ axes.T
+        gradient = axes[:, :4] @ rng.normal(size=4)
+        step = step_of(hessian, gradient, 3)
+        assert not step.determined and np.count_nonzero(step.delta) == 4
+        np.testing.assert_allclose(hessian @ step.delta, -gradient, rtol=0, atol=1e-9)
+        assert np.linalg.norm(step.delta) < 20.0 * np.linalg.norm(np.linalg.pinv(hessian, 1e-9) @ gradient)

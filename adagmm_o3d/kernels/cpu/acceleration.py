@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from adagmm_o3d.kernels.cpu.compiling import FLAGS, SERIAL_KERNEL_FLAGS, source_stamp
+from adagmm_o3d.kernels.cpu.compiling import EXACT_FLAGS, EXACT_KERNEL_FLAGS, source_stamp
 
 # The state: ω, v, log σ, unmatched share.
 TURN_AND_SHIFT, LOG_SIGMA, UNMATCHED_SHARE = 6, 6, 7
@@ -39,10 +39,10 @@ def forget(memory: NDArray[np.float64]) -> None:
 
 
 # Python itself is quicker with it than Numba with compiling it in every process.
-forget_compiled = njit(**FLAGS)(forget)
+forget_compiled = njit(**EXACT_FLAGS)(forget)
 
 
-@njit(**FLAGS)
+@njit(**EXACT_FLAGS)
 def accelerated_step(residual, deviation, memory, step):
     """The step (STATE,) to take at this `residual` (STATE,); `deviation` is the mixtures' √σ, the unit of a pose."""
     known = int(memory[-1, 0])
@@ -99,7 +99,7 @@ def accelerated_step(residual, deviation, memory, step):
     memory[-1, 0] = known
 
 
-@njit(**FLAGS)
+@njit(**EXACT_FLAGS)
 def product(a, b, deviation):
     """Inner product of two states, the pose in units of `deviation`."""
     pose = 0.0
@@ -108,7 +108,7 @@ def product(a, b, deviation):
     return pose / (deviation * deviation) + a[LOG_SIGMA] * b[LOG_SIGMA] + a[UNMATCHED_SHARE] * b[UNMATCHED_SHARE]
 
 
-@njit(**FLAGS)
+@njit(**EXACT_FLAGS)
 def size(a, deviation):
     return math.sqrt(product(a, a, deviation))
 
@@ -116,7 +116,7 @@ def size(a, deviation):
 def _build(stamp):
     """`accelerated_step` as called from Python; `stamp` keeps its cache fresh."""
 
-    @njit(**SERIAL_KERNEL_FLAGS)
+    @njit(**EXACT_KERNEL_FLAGS)
     def accelerate(residual, deviation, memory, step):
         _ = stamp
         accelerated_step(residual, deviation, memory, step)

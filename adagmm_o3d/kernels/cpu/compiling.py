@@ -17,7 +17,10 @@ from adagmm_o3d.kernels.formulas import build
 # Each of these is needed for vector code, and none assumes that there are no NaN or infinities.
 FAST = {"reassoc", "contract", "arcp", "nsz"}
 FLAGS = {"fastmath": FAST, "error_model": "numpy"}
+# What is too small to be worth vector code keeps the order of its sums: all who call it get the same bits.
+EXACT_FLAGS = {"error_model": "numpy"}
 SERIAL_KERNEL_FLAGS = {"cache": find_a_folder(FunctionCache), "nogil": True, **FLAGS}
+EXACT_KERNEL_FLAGS = {key: value for key, value in SERIAL_KERNEL_FLAGS.items() if key != "fastmath"}
 KERNEL_FLAGS = {"parallel": True, **SERIAL_KERNEL_FLAGS}
 F0, F1 = np.float32(0.0), np.float32(1.0)
 

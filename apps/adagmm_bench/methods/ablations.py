@@ -12,7 +12,7 @@ from typing import Any
 from adagmm_bench.methods.variant import Replacement, Variant
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.expectation import FINEST_SIGMA
-from adagmm_o3d.em.runs import End, Start, run_starts
+from adagmm_o3d.em.runs import Start
 from adagmm_o3d.em.unmatched import AREA
 from adagmm_o3d.mixtures.condensing import SIGMA_FLOOR
 from adagmm_o3d.mixtures.mixture import Mixture
@@ -23,14 +23,6 @@ from adagmm_o3d.search.starts import around
 def scheduled(**changes: Any) -> Replacement:
     """The search with another schedule."""
     return Replacement("search.register", "SCHEDULE", replace(SCHEDULE, **changes))
-
-
-def run_starts_unaccelerated(*sides: Any, limits: Any, **options: Any) -> list[End]:
-    return run_starts(*sides, limits=replace(limits, accelerated=False), **options)
-
-
-def keep_the_step(residual: Array, deviation: float, memory: Array, step: Array) -> None:
-    """In place of `accelerate`: `step` holds the residual already."""
 
 
 def no_features(source: Mixture, target: Mixture) -> list[Array]:
@@ -74,10 +66,7 @@ ABLATIONS = {
     ),
     "adagmm-without-acceleration": Variant(
         "The default with every step of the last refinement as EM gives it.",
-        replacements=(
-            Replacement("em.expectation", "accelerate", keep_the_step),
-            Replacement("search.refinement", "run_starts", run_starts_unaccelerated),
-        ),
+        replacements=(Replacement("search.refinement", "ACCELERATED", False),),
     ),
     "adagmm-without-condensing": Variant(
         "The default with all points of dense clouds from the first iteration of the refinement on.",

@@ -34,6 +34,8 @@ GOOD = PairRecord(
     overlap=0.81,
     overlap_truth=0.80,
     sigma=2.5e-4,
+    sigma_mm2=250.0,
+    contradicted=0.02,
     iterations=42,
     seconds_registration=0.25,
 )
@@ -76,8 +78,8 @@ def test_markdown_shows_every_pair_and_every_failure():
     lines = text.splitlines()
     rows = [line for line in lines if line.startswith("| ") and "_to_" in line]
     assert [row.split(" | ")[0] for row in rows] == ["| a_to_b", "| b_to_c", "| c_to_d", "| d_to_e"]
-    assert rows[0] == "| a_to_b | 0.0123 | 0.50 | 12.2 | 0.810 | 0.800 | 2.50e-04 | 42 | 0.25 | ok |"
-    assert rows[2].count("–") == 8 and rows[2].endswith("| failed |")
+    assert rows[0] == "| a_to_b | 0.0123 | 0.50 | 12.2 | 0.810 | 0.800 | 0.020 | 250.0 | 42 | 0.25 | ok |"
+    assert rows[2].count("–") == 9 and rows[2].endswith("| failed |")
     assert rows[3].endswith("| ok (no ground truth) |")
     assert "- b_to_c: rotation error 9.50° is above 3°" in lines
     assert "- c_to_d: d.png: the image is missing" in lines
@@ -110,7 +112,7 @@ def test_the_terminal_table_keeps_units_and_names_as_they_are():
 
 
 def test_a_record_has_the_numbers_of_its_outcome(outcome):
-    record = pair_record(outcome)
+    record = pair_record(outcome, SETTINGS)
     np.testing.assert_array_equal(record.T_target_source, outcome.T_estimate)
     np.testing.assert_array_equal(record.T_target_source_truth, outcome.pair.T_target_source)
     assert record.target == "left/000000" and record.source == "right/000000"
@@ -122,7 +124,7 @@ def test_a_record_has_the_numbers_of_its_outcome(outcome):
 
 def test_numbers_that_are_not_finite_become_null(outcome):
     spoilt = replace(outcome, evaluation=replace(outcome.evaluation, inlier_rmse_m=float("nan")))
-    content = json.loads(as_json(report(pair_record(spoilt))))
+    content = json.loads(as_json(report(pair_record(spoilt, SETTINGS))))
     assert content["pairs"][0]["inlier_rmse_mm"] is None
 
 

@@ -11,9 +11,9 @@ from registered_scene import INTRINSICS, known_estimate, room_clouds, room_pair
 from adagmm_fusion.frames.rgbd import RGBDFrame
 from adagmm_fusion.pairs.partners import partner_distance
 from adagmm_fusion.pairs.pipeline import register_pair
+from adagmm_fusion.pairs.point_diagnostics import CONTRADICTED, HIDDEN, PARTNER, diagnose, weight_shares
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.rerun_log.clouds import log_points, point_radius, shaded_colors
-from adagmm_fusion.rerun_log.diagnostics import CONTRADICTED, HIDDEN, PARTNER, diagnose, weight_shares
 from adagmm_fusion.rerun_log.ellipsoids import chosen_points
 from adagmm_fusion.rerun_log.iterations import pose_errors
 from adagmm_fusion.rerun_log.legends import NO_PARTNER_COLOR, RESIDUAL_RAMP, ramp_colors

@@ -2,7 +2,7 @@
 
 import argparse
 import subprocess
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import open3d as o3d
@@ -13,11 +13,14 @@ from rerun.chunk import RrdReader
 
 from adagmm_fusion.errors import OutputError
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame, RGBDPair
+from adagmm_fusion.pairs.feature_start import FeatureStart
+from adagmm_fusion.pairs.record import PairRecord
+from adagmm_fusion.pairs.stages import END, IDENTITY, START, Stage, worse_than_start
 from adagmm_fusion.rerun_log import (
     Eye,
     Limits,
+    Progress,
     RegistrationLogger,
-    SummaryRow,
     add_rerun_arguments,
     dashboard,
     log_pair,
@@ -26,7 +29,8 @@ from adagmm_fusion.rerun_log import (
     log_refused_pair,
     open_stream,
 )
-from adagmm_fusion.rerun_log.picture import RERUN
+from adagmm_fusion.rerun_log.headless_viewer import RERUN
+from adagmm_fusion.rerun_log.matches import projected
 from adagmm_o3d import registration_adaptive_gmm
 
 MEGABYTE = 1e6
@@ -91,6 +95,15 @@ def verify(path):
     assert done.returncode == 0, done.stderr
 
 
+def summary_record(name: str, status: str, rotation_deg: float, translation_mm: float, **more) -> PairRecord:
+    """A pair that started 0.1° and 20 mm off."""
+    errors = {IDENTITY: (15.0, 200.0), START: (0.1, 20.0), END: (rotation_deg, translation_mm)}
+    stages = tuple(Stage(name, "", np.eye(4).tolist(), *error) for name, error in errors.items())
+    worse = worse_than_start(*stages[1:])
+    errors = {"rotation_error_deg": rotation_deg, "translation_error_mm": translation_mm}
+    return PairRecord(name, 0, status, "ground truth", "", stages=stages, worse_than_start=worse, **errors, **more)
+
+
 @pytest.fixture(scope="module")
 def one_pair(tmp_path_factory):
     path = tmp_path_factory.mktemp("one") / "pair.rrd"
@@ -122,9 +135,9 @@ def three_pairs(tmp_path_factory):
         log_recording_summary(
             rec,
             [
-                SummaryRow(0, "pair_0", "ok", 0.0, 0.0, 0.7, ITERATIONS, 0.1),
-                SummaryRow(1, "pair_1", "failed", 0.0, 500.0, 0.7, ITERATIONS, 0.1, "500 mm"),
-                SummaryRow(2, "pair_2", "failed", reason="no depth"),
+                summary_record("pair_0", "ok", 0.0, 0.0),
+                summary_record("pair_1", "failed", 0.0, 500.0, diagnosis="slid along the wall"),
+                PairRecord("pair_2", 2, "failed", "error", "no depth"),
             ],
         )
 
@@ -140,7 +153,7 @@ def test_files_verify_and_leave_nothing_beside_them(one_pair, three_pairs):
 def test_entities_of_a_pair(one_pair):
     below_sensor = ("points", "covariances", "shape", "image", "image/rgb", "image/depth")
     expected = {f"/world/{sensor}/{entity}" for sensor in ("target", "source") for entity in below_sensor}
-    expected |= {f"/metrics/{m}" for m in ("energy", "sigma", "rotation_error_deg", "translation_error_mm")}
+    expected |= {f"/metrics/{m}" for m in ("energy", "sigma_mm2", "rotation_error_deg", "translation_error_mm")}
     expected |= {f"/world/{w}" for w in ("target", "source", "initial/source", "initial/source/shape")}
     expected |= {f"/world/{w}" for w in ("truth/source", "truth/source/image", "initial/source/image", "difference")}
     expected |= {
@@ -150,7 +163,8 @@ def test_entities_of_a_pair(one_pair):
         "/world/target/image/overlay",
         "/world/target/image/checkerboard",
     }
-    expected |= {"/report", "/log", "/diagnostics/residual_histogram"}
+    expected |= {"/report", "/log", "/guide", "/matches/images", "/diagnostics/residual_histogram"}
+    expected |= {"/world/recorded/source/shape", "/log10/sigma_mm2", "/log10/stages/rotation_error_deg/start"}
     assert expected <= set(RrdReader(one_pair).store().schema().entity_paths())
 
 
@@ -187,7 +201,7 @@ def test_every_layer_has_a_color_for_every_point(one_pair):
 
 def test_curves(one_pair):
     estimate = known_estimate()
-    for entity, expected in (("energy", estimate.energies), ("sigma", estimate.sigmas)):
+    for entity, expected in (("energy", estimate.energies), ("sigma_mm2", 1e6 * estimate.sigmas)):
         curve = rows(one_pair, f"metrics/{entity}", "Scalars:scalars", "iteration")
         np.testing.assert_array_equal(curve.times, np.arange(1, ITERATIONS + 1))
         np.testing.assert_allclose(np.ravel(curve.values), expected, rtol=1e-12, atol=0.0)
@@ -195,6 +209,8 @@ def test_curves(one_pair):
     np.testing.assert_array_equal(degrees.times, np.arange(ITERATIONS + 1))
     np.testing.assert_allclose(np.ravel(degrees.values), np.linspace(15.0, 0.0, ITERATIONS + 1), rtol=1e-6, atol=1e-5)
     millimetres = np.ravel(rows(one_pair, "metrics/translation_error_mm", "Scalars:scalars", "iteration").values)
+    exponents = rows(one_pair, "log10/sigma_mm2", "Scalars:scalars", "iteration")
+    np.testing.assert_allclose(np.ravel(exponents.values), np.log10(1e6 * estimate.sigmas), rtol=1e-12, atol=0.0)
     start = 1000.0 * np.linalg.norm(room_pair().T_target_source[:3, 3])
     np.testing.assert_allclose(millimetres, np.linspace(start, 0.0, ITERATIONS + 1), rtol=1e-6, atol=1e-6)
 
@@ -217,6 +233,7 @@ def test_ellipsoids_shrink_with_sigma(one_pair):
     sigmas = known_estimate().sigmas
     np.testing.assert_allclose(first / last, np.sqrt(sigmas[0] / sigmas[-1]), rtol=1e-5, atol=0.0)
     # Kinect covariances, Eq. 6, lie between exp(0) and exp(w1 + w2 d) for points up to d metres away.
+    first /= 3.0  # standard deviations
     assert np.sqrt(sigmas[0]) <= first.min() and first.max() <= np.sqrt(sigmas[0] * np.exp(1.67 + 0.28 * 6.0))
 
 
@@ -247,20 +264,21 @@ def test_blueprint_travels_with_the_file(one_pair, three_pairs):
             for column in ("ViewBlueprint:display_name", "ContainerBlueprint:display_name"):
                 if column in batch.schema.names:
                     names |= {name for row in batch.column(column).to_pylist() for name in row or ()}
-        assert {"Before: target blue, source orange", "After", "Energy", "Report", "Why", page} <= names
+        assert {"Identity: target blue", "Start", "End", "Energy", "Report", "Why", "Guide", page} <= names
 
 
 def test_report_says_how_it_went(one_pair, three_pairs):
     (text,) = rows(one_pair, "report", "TextDocument:text").values
-    assert (
-        text[0].startswith("# ✔ Registered: 0.00° and 0 mm off")
-        and "| rotation error [°] | 15.00 | **0.00** |" in text[0]
-    )
+    before_mm = 1000.0 * np.linalg.norm(room_pair().T_target_source[:3, 3])
+    assert text[0].startswith("### ✔ Registered: 0.00° and 0 mm off")
+    for row in (f"| identity | 15.00 | {before_mm:.0f} |", f"| start (geometry) | 15.00 | {before_mm:.0f} |"):
+        assert row in text[0].splitlines()
+    assert {"| **end** | **0.00** | **0** |", "| limit | 5 | 100 |"} <= set(text[0].splitlines())
     reports = rows(three_pairs, "report", "TextDocument:text", "frame")
     assert [report[0].splitlines()[0] for report in reports.values] == [
-        "# ✔ Registered: 0.00° and 0 mm off",
-        "# × Failed: 0.00° and 500 mm off",
-        "# × Failed: no depth",
+        "### ✔ Registered: 0.00° and 0 mm off",
+        "### × Failed: 0.00° and 500 mm off",
+        "### × Failed: no depth",
     ]
 
 
@@ -278,12 +296,18 @@ def test_frames_show_results_and_em_steps_run_through_all_pairs(three_pairs):
     assert [len(p) for p in points.values] == [len(room_clouds(frame)[0].points) for frame in (0, 1)]
 
 
-def test_charts_hold_the_curve_of_the_pair(three_pairs):
-    charts = rows(three_pairs, "charts/rotation_error_deg", "BarChart:values", "frame")
-    assert charts.times.tolist() == [0, 1]
-    for frame, chart in enumerate(charts.values):
-        expected = np.linspace(15.0 + 5.0 * frame, 0.0, ITERATIONS + 1)
-        np.testing.assert_allclose(chart[0]["buffer"], expected, rtol=1e-6, atol=1e-5)
+def test_errors_of_the_stages_stand_at_their_pair_and_at_their_iteration(three_pairs):
+    degrees = "log10/stages/rotation_error_deg"
+    start = rows(three_pairs, f"{degrees}/start", "Scalars:scalars", "frame")
+    assert start.times.tolist() == [0, 1]
+    np.testing.assert_allclose(np.ravel(start.values), np.log10([15.0, 20.0]), rtol=1e-6, atol=0.0)
+    right = rows(three_pairs, "log10/stages/translation_error_mm/end", "Scalars:scalars", "em_step")
+    assert right.times.tolist() == [ITERATIONS] and right.values[0][0] <= 0.0  # a millimetre
+    wrong = rows(three_pairs, "log10/stages/translation_error_mm/end_wrong", "Scalars:scalars", "em_step")
+    assert wrong.times.tolist() == [2 * ITERATIONS + 1]
+    np.testing.assert_allclose(np.ravel(wrong.values), np.log10([500.0]), rtol=1e-6, atol=0.0)
+    limit = rows(three_pairs, "log10/stages/translation_error_mm/limit", "Scalars:scalars", "em_step")
+    assert limit.times.tolist() == [0, ITERATIONS, ITERATIONS + 1, 2 * ITERATIONS + 1]
 
 
 def test_a_refused_pair_hides_the_one_before(three_pairs):
@@ -294,10 +318,61 @@ def test_a_refused_pair_hides_the_one_before(three_pairs):
 def test_summary_is_sorted_with_the_worst_first(three_pairs):
     (text,) = rows(three_pairs, "summary/table", "TextDocument:text").values
     assert "1 of 3 pairs registered" in text[0]
-    names = [line.split(" | ")[1] for line in text[0].splitlines() if line.startswith("| ")][1:]
-    assert names == ["pair_2", "pair_1", "pair_0"]
-    (bars,) = rows(three_pairs, "summary/translation_error_mm/failed", "BarChart:values").values
-    assert bars[0]["buffer"] == [500.0]
+    lines = [line for line in text[0].splitlines() if line.startswith("| ")]
+    assert lines[2] == "| 1 | ×▲ | 0.00 | 500 | 0.10 | 20 | 15.00 | 200 | – | – | – | – | – | – |"
+    reasons = [line for line in text[0].splitlines() if line.startswith("- **")]
+    assert reasons == ["- **2** pair_2: no depth.", "- **1** pair_1: slid along the wall.", "- **0** pair_0: ok."]
+    assert "▲ 1 ended worse than they started." in text[0].splitlines()
+
+
+def test_the_summary_of_a_run_that_goes_on_says_how_long(tmp_path):
+    records = [summary_record("pair_0", "ok", 0.0, 0.0)]
+
+    def log(rec):
+        log_recording_summary(rec, records, progress=Progress(10, 125.0))
+
+    (text,) = rows(save(tmp_path / "on.rrd", log), "summary/table", "TextDocument:text").values
+    assert "**1 of 10 done, about 2 min 05 s left.**" in text[0].splitlines()
+
+
+def test_points_tell_their_numbers(one_pair):
+    source, target = room_clouds()
+    names = ("weight_share", "residual_mm", "partner_in_target", "variance_mm2")
+    values = {name: np.array(rows(one_pair, "world/source/points", name).values[0]) for name in names}
+    assert {len(numbers) for numbers in values.values()} == {len(source.points)}
+    partner = values["partner_in_target"]
+    assert np.isnan(values["residual_mm"]).tolist() == (partner < 0).tolist()
+    T = known_estimate().transformation
+    moved = np.asarray(source.points)[partner >= 0] @ T[:3, :3].T + T[:3, 3]
+    gaps = np.linalg.norm(moved - np.asarray(target.points)[partner[partner >= 0]], axis=1)
+    assert (1000.0 * gaps + 1e-6 >= values["residual_mm"][partner >= 0]).all()  # along the normal it is less
+    expected = 1e6 * known_estimate().sigma * np.trace(np.asarray(source.covariances), axis1=1, axis2=2) / 3.0
+    np.testing.assert_allclose(values["variance_mm2"], expected, rtol=1e-9, atol=0.0)
+
+
+def test_features_and_their_matches_are_in_the_images(tmp_path):
+    pair = room_pair()
+    points = np.array([[0.1, -0.1, 1.5], [-0.3, 0.2, 2.0], [0.2, 0.3, 1.8]])
+    pixels = projected(points, pair.T_target_source, INTRINSICS)
+    pixels[2] += (30.0, 0.0)
+    features = FeatureStart(pair.T_target_source, 3, 9, points, pixels)
+    path = tmp_path / "matches.rrd"
+    save(path, lambda rec: log_pair(rec, pair, *room_clouds(), known_estimate(), features=features))
+    (off_px,) = rows(path, "world/target/image/features", "end_is_off_px").values
+    np.testing.assert_allclose(off_px, [0.0, 0.0, 30.0], rtol=1e-6, atol=1e-6)
+    (lines,) = rows(path, "matches/lines", "LineStrips2D:strips").values
+    np.testing.assert_allclose(np.array(lines)[:, 1], pixels + np.array((INTRINSICS.width, 0.0)), rtol=1e-6, atol=1e-4)
+    (text,) = rows(path, "report", "TextDocument:text").values
+    assert "| start (features) | 0.00 | 0 |" in text[0].splitlines()
+
+
+@pytest.mark.parametrize(("timestamp", "timeline"), [(1305031233.25, "recorded at"), (12.5, "recorded after")])
+def test_time_stamps_are_a_timeline(tmp_path, timestamp, timeline):
+    pair = replace(room_pair(), source=replace(room_pair().source, timestamp=timestamp))
+    path = tmp_path / "stamped.rrd"
+    save(path, lambda rec: log_pair(rec, pair, *room_clouds(), known_estimate(), frame_index=0))
+    assert len(rows(path, "world/source/points", "Points3D:positions", timeline).values) == 1
+    assert len(rows(path, "world/source", "Transform3D:translation", timeline).values) == 1
 
 
 def test_properties(tmp_path):
@@ -377,10 +452,11 @@ def test_report_counts_partners_and_contradictions(tmp_path):
     estimate = known_estimate(off=(0.0, 0.2, -0.2))
     path = save(tmp_path / "off.rrd", lambda rec: log_pair(rec, room_pair(), *room_clouds(), estimate))
     (text,) = rows(path, "report", "TextDocument:text").values
-    shares = {line.split("|")[1].strip(): line.split("|")[3].strip() for line in text[0].splitlines() if "[%]" in line}
-    assert shares.pop("overlap, as estimated [%]") == "70"
-    within, contradicted = (int(share) for share in shares.values())
-    assert within < 50 and contradicted > 10
+    cells = [[cell.strip() for cell in line.split("|")] for line in text[0].splitlines() if "%" in line]
+    shares = {cell[1]: int(cell[2].removesuffix("%")) for cell in cells}
+    assert shares.pop("partners it believes in") == 70
+    within, contradicted, hidden = shares.values()
+    assert within < 50 and contradicted > 10 and within + contradicted + hidden == pytest.approx(100, rel=0, abs=1)
 
 
 def test_verdict_follows_the_limits(tmp_path):
@@ -393,7 +469,7 @@ def test_verdict_follows_the_limits(tmp_path):
             ),
         )
         (text,) = rows(path, "report", "TextDocument:text").values
-        assert text[0].startswith(f"# {verdict}: 0.00° and 50 mm off")
+        assert text[0].startswith(f"### {verdict}: 0.00° and 50 mm off")
 
 
 def test_a_pair_that_was_not_registered_shows_its_start(tmp_path):
@@ -403,7 +479,7 @@ def test_a_pair_that_was_not_registered_shows_its_start(tmp_path):
     path = save(tmp_path / "none.rrd", log)
     verify(path)
     (text,) = rows(path, "report", "TextDocument:text").values
-    assert text[0].startswith("# × Failed: no overlap")
+    assert text[0].startswith("### × Failed: no overlap")
     (translation,) = rows(path, "world/source", "Transform3D:translation").values
     assert translation == [[0.0, 0.0, 0.0]]
 

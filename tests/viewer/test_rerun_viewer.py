@@ -8,9 +8,9 @@ import pytest
 from registered_scene import ITERATIONS, known_estimate, room_clouds, room_mesh, room_pair
 from viewer import complaints, eventually, needs_viewer, screenshot
 
+from adagmm_fusion.pairs.record import PairRecord
 from adagmm_fusion.rerun_log import (
     Eye,
-    SummaryRow,
     add_rerun_arguments,
     dashboard,
     log_pair,
@@ -18,11 +18,12 @@ from adagmm_fusion.rerun_log import (
     log_refused_pair,
     open_stream,
 )
-from adagmm_fusion.rerun_log.picture import headless_viewer, main, show_page
+from adagmm_fusion.rerun_log.headless_viewer import headless_viewer
+from adagmm_fusion.rerun_log.picture import TOP_BAR_PX, main, show_page
 
 pytestmark = [needs_viewer, pytest.mark.slow]
 RESULT = "Result: cameras truth green, estimate orange, start blue"
-BEFORE, AFTER = "Before: target blue, source orange", "After"
+IDENTITY, BEFORE, AFTER = "Identity: target blue", "Start", "End"
 
 
 def save(path, log, **blueprint):
@@ -160,7 +161,7 @@ def test_many_pairs(tmp_path):
             em_step = log_pair(rec, room_pair(frame), *room_clouds(frame), estimate, frame_index=frame, em_step=em_step)
         log_refused_pair(rec, "pair_2", "no depth", before=room_pair(1), frame_index=2, em_step=em_step)
         log_recording_summary(
-            rec, [SummaryRow(0, "pair_0", "ok", 0.1, 1.0), SummaryRow(1, "pair_1", "failed", 0.1, 500.0)]
+            rec, [PairRecord("pair_0", 0, "ok", "estimate", ""), PairRecord("pair_1", 1, "failed", "estimate", "")]
         )
 
     path = save(tmp_path / "many.rrd", log, many_pairs=True)
@@ -193,14 +194,18 @@ def test_many_pairs(tmp_path):
 def test_picture_command(tmp_path, capfd):
     path = save(tmp_path / "pair.rrd", lambda rec: log_pair(rec, room_pair(), *room_clouds(), known_estimate()))
     out = tmp_path / "pair.jpg"
-    assert main([str(path), str(out), "--time", "iteration=0", "--width", "800"]) == 0
-    assert cv2.imread(str(out)).shape[1] == 800
+    assert main([str(path), str(out), "--time", "iteration=0", "--size", "800x600"]) == 0
+    assert cv2.imread(str(out)).shape == (600 - TOP_BAR_PX, 800, 3)
     capfd.readouterr()
     for arguments, message in (
         ([str(tmp_path / "none.rrd"), str(out)], "none.rrd: no such Rerun recording"),
         (
             [str(path), str(out), "--time", "iteration"],
             "--time: expected TIMELINE=N as in iteration=0, got 'iteration'",
+        ),
+        (
+            [str(path), str(out), "--size", "1280"],
+            "--size: expected WIDTHxHEIGHT up to 8192x8192 as in 1280x720, got '1280'",
         ),
         ([str(path), str(tmp_path / "pair.txt")], "pair.txt: expected a name ending in .jpg or .png"),
     ):

@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import os
+import time
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -30,7 +31,7 @@ from adagmm_fusion.recordings.opening import open_recording
 from adagmm_fusion.rerun_log import (
     Eye,
     Limits,
-    SummaryRow,
+    Progress,
     check_destination,
     dashboard,
     log_pair,
@@ -44,7 +45,9 @@ from adagmm_fusion.rigs.rig import save_rig
 from adagmm_o3d.errors import InputError
 
 MAX_DIGITS = 100  # of a range of pairs
-TABLE_WIDTH = 150  # of the table where the output is no terminal
+TABLE_WIDTH = 165  # of the table where the output is no terminal
+# The summary is logged again when there are so many times more pairs: a file keeps all of them.
+SUMMARY_GROWTH = 1.1
 # Exit codes. 1 is an error, 2 wrong usage, and 3 and 4 are `verify`'s.
 SOME_FAILED, ALL_FAILED = 5, 6
 
@@ -82,19 +85,19 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
             for outcome in run_pairs(recording, settings, indices):
                 wanted = outcome.estimate is not None and not (viewer is None and args.no_clouds)
                 mesh = _fused(outcome, settings) if wanted else None
+                records.append(pair_record(outcome, settings))
                 if viewer is not None:
-                    viewer.log(outcome, mesh)
+                    viewer.log(outcome, mesh, records)
                 rig_estimate.add(outcome)
                 if mesh is not None and not args.no_clouds:
                     results |= _saved(outcome, mesh, folder, settings)
-                records.append(pair_record(outcome))
                 display.advance(task)
         except KeyboardInterrupt as stop:
             stopped = stop
         finally:
             # Whatever ended the run, the pairs that were finished are reported.
             if viewer is not None:
-                viewer.summarize(records)
+                viewer.summarize(records, finished=True)
             rig = rig_estimate.rig(f"{recording.path.resolve().name}_estimated")
             if rig is not None:
                 save_rig(folder / "rig.yaml", rig)
@@ -177,8 +180,15 @@ class _Viewer:
         self._limits = Limits(settings.max_rotation_error_deg, settings.max_translation_error_mm)
         self._next_frame, self._em_step, self._has_eye = 0, 0, False
         self._before: RGBDPair | None = None
+        self._pair_count, self._began, self._summarized = pair_count, time.monotonic(), 0
 
-    def log(self, outcome: PairOutcome, fused: TexturedMesh | None) -> None:
+    def log(self, outcome: PairOutcome, fused: TexturedMesh | None, records: list[PairRecord]) -> None:
+        """Log an outcome and, in a recording of many pairs, the summary so far; its record is the last one."""
+        self._log_outcome(outcome, fused, records[-1])
+        if len(records) >= self._summarized * SUMMARY_GROWTH:
+            self.summarize(records)
+
+    def _log_outcome(self, outcome: PairOutcome, fused: TexturedMesh | None, record: PairRecord) -> None:
         frame_index = self._next_frame
         self._next_frame += 1
         shown_as: dict[str, Any] = {"frame_index": frame_index if self._many else None, "em_step": self._em_step}
@@ -204,25 +214,18 @@ class _Viewer:
             limits=self._limits,
             partner_distance=None if outcome.evaluation is None else outcome.evaluation.partner_distance_m,
             fused=fused,
+            features=outcome.features,
+            diagnosis=record.diagnosis,
         )
 
-    def summarize(self, records: list[PairRecord]) -> None:
-        rows = [
-            SummaryRow(
-                frame_index=frame_index,
-                name=record.pair,
-                status=record.status,
-                rotation_deg=record.rotation_error_deg,
-                translation_mm=record.translation_error_mm,
-                overlap=record.overlap,
-                iterations=record.iterations,
-                seconds=record.seconds_registration,
-                reason=record.reason,
-            )
-            for frame_index, record in enumerate(records)
-        ]
-        if self._many and rows:
-            log_recording_summary(self._stream, rows)
+    def summarize(self, records: list[PairRecord], *, finished: bool = False) -> None:
+        """Log the first page again, with the time left while the run goes on."""
+        if not self._many or not records:
+            return
+        self._summarized = len(records)
+        left = (time.monotonic() - self._began) * (self._pair_count / len(records) - 1.0)
+        progress = None if finished else Progress(self._pair_count, left)
+        log_recording_summary(self._stream, records, progress=progress)
 
 
 @contextlib.contextmanager
@@ -242,11 +245,15 @@ def _print(report: Report, folder: Path, paths: tuple[Path, Path], *, to_stderr:
     console = Console(stderr=to_stderr, highlight=False, soft_wrap=True)
     if not console.is_terminal:
         console = Console(stderr=to_stderr, highlight=False, soft_wrap=True, width=TABLE_WIDTH)
-    console.print(terminal_table(report))
+    console.print(terminal_table(report, console.width))
     for note in report.notes:
         console.print(f"note: {one_line(note)}", style="yellow", markup=False)
     for line in report.failures():
         console.print(printable(f"failed: {line}"), style="red", markup=False)
+    for record in report.records:
+        if record.status != "ok" or record.worse_than_start:
+            style = "red" if record.status != "ok" else "yellow"
+            console.print(printable(f"why: {record.pair}: {record.diagnosis}"), style=style, markup=False)
     console.print(printable(f"report: {paths[0]}, {paths[1]}"), markup=False)
     for what, path in report.results.items():
         console.print(printable(f"{what}: {os.path.normpath(folder / path)}"), markup=False)

@@ -6,18 +6,33 @@ from typing import Any
 
 import numpy as np
 
+from adagmm_fusion.pairs.diagnosis import diagnosis
+from adagmm_fusion.pairs.evidence import evidence_of
 from adagmm_fusion.pairs.pipeline import PairOutcome
+from adagmm_fusion.pairs.settings import Settings
+from adagmm_fusion.pairs.stages import Stage, stages_of, worse_than_start
 
 
 @dataclass(frozen=True)
 class PairRecord:
-    """The numbers of one outcome, without its images and clouds; None where there are none. JSON has these names."""
+    """The numbers of one outcome, without its images and clouds; None where there are none. JSON has these names.
+
+    diagnosis : why it came out so, in one sentence.
+    stages : the identity, the start and the end; none of a pair that could not be registered.
+    worse_than_start : the end is clearly farther from the ground truth than the start was.
+    initial_rotation_error_deg, initial_translation_error_mm : those of the stage "identity", under their old names.
+    overlap : share of source points with a target point within the partner distance; estimated_overlap : the share that
+        the registration itself believes to have a partner.    sigma : as the result has it [m²]; sigma_mm2 : the same.
+    """
 
     pair: str
     index: int
     status: str
     judged_by: str
     reason: str
+    diagnosis: str = ""
+    stages: tuple[Stage, ...] = ()
+    worse_than_start: bool = False
     target: str | None = None
     source: str | None = None
     target_points: int | None = None
@@ -35,8 +50,12 @@ class PairRecord:
     inlier_rmse_mm: float | None = None
     started_from: str | None = None
     feature_inliers: int | None = None
+    feature_matches: int | None = None
+    contradicted: float | None = None
+    color_correlation: float | None = None
     estimated_overlap: float | None = None
     sigma: float | None = None
+    sigma_mm2: float | None = None
     iterations: int | None = None
     stop_reason: str | None = None
     converged: bool | None = None
@@ -46,10 +65,23 @@ class PairRecord:
     seconds_features: float | None = None
     seconds_registration: float | None = None
 
+    def stage(self, name: str) -> Stage | None:
+        """The stage of that name, "identity", "start" or "end", if there is one."""
+        return next((stage for stage in self.stages if stage.stage == name), None)
 
-def pair_record(outcome: PairOutcome) -> PairRecord:
-    """What the report says about an outcome."""
+
+def pair_record(outcome: PairOutcome, settings: Settings) -> PairRecord:
+    """What the report says about an outcome of a run with these settings."""
     known: dict[str, Any] = {}
+    stages = _stages(outcome)
+    if stages:
+        _, start, end = stages
+        known |= {
+            "stages": stages,
+            "worse_than_start": worse_than_start(start, end),
+            "contradicted": end.contradicted,
+            "color_correlation": end.color_correlation,
+        }
     if outcome.pair is not None:
         target, source, T_truth = outcome.pair.target, outcome.pair.source, outcome.pair.T_target_source
         known |= {"target": f"{target.sensor}/{target.name}", "source": f"{source.sensor}/{source.name}"}
@@ -61,8 +93,10 @@ def pair_record(outcome: PairOutcome) -> PairRecord:
             "T_target_source": np.asarray(estimate.transformation).tolist(),
             "started_from": "clouds" if outcome.features is None else "features",
             "feature_inliers": None if outcome.features is None else outcome.features.inliers,
+            "feature_matches": None if outcome.features is None else outcome.features.matches,
             "estimated_overlap": _number(estimate.overlap),
             "sigma": _number(estimate.sigma),
+            "sigma_mm2": _number(1e6 * estimate.sigma),
             "iterations": int(estimate.iterations),
             "stop_reason": str(estimate.stop_reason),
             "converged": bool(estimate.converged),
@@ -90,11 +124,20 @@ def pair_record(outcome: PairOutcome) -> PairRecord:
         status=outcome.status,
         judged_by=outcome.judged_by,
         reason=outcome.reason,
+        diagnosis=diagnosis(evidence_of(outcome, stages, settings)),
         seconds_clouds=outcome.seconds_clouds,
         seconds_features=outcome.seconds_features,
         seconds_registration=outcome.seconds_registration,
         **known,
     )
+
+
+def _stages(outcome: PairOutcome) -> tuple[Stage, ...]:
+    if outcome.estimate is None or outcome.evaluation is None:
+        return ()
+    distance_m = outcome.evaluation.partner_distance_m
+    clouds = outcome.source_cloud, outcome.target_cloud
+    return stages_of(outcome.pair, *clouds, outcome.estimate, distance_m, outcome.features)
 
 
 def _number(value: float | None) -> float | None:

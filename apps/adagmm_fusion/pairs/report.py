@@ -8,12 +8,14 @@ from importlib import metadata
 from pathlib import Path
 
 import numpy as np
+from rich.box import HEAVY_HEAD, SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
 from adagmm_fusion.files.atomic_file import write_text
 from adagmm_fusion.pairs.record import PairRecord
 from adagmm_fusion.pairs.settings import Settings
+from adagmm_fusion.pairs.stages import Stage
 
 SCHEMA, VERSION = "adagmm-fusion-report", 1
 PACKAGES = ("adagmm-o3d", "open3d", "numpy", "numba", "rerun-sdk")
@@ -32,16 +34,27 @@ COLUMNS = (
     "translation [mm]",
     "overlap",
     "true overlap",
-    "σ",
+    "contradicted",
+    "σ [mm²]",
     "iterations",
     "time [s]",
     "verdict",
 )
+SHORT_COLUMNS = ("pair", "start", "end", "overlap", "time [s]", "verdict")
+STAGES = ("identity", "start", "end")
+# The table of all columns takes so much of a terminal; below, the short one is printed.
+FULL_WIDTH = 165
+RED = "🔴"
 NOTES = (
     "Errors are against the ground truth of the recording or its rig. Overlap is the share of source points with a "
     "target point nearer than the partner distance, at the estimate and at the ground truth; where the first is not "
-    "smaller, the estimate explains the clouds as well as the ground truth does. σ scales the covariances at the end. "
-    "Time is that of the registration alone, on clouds that are there."
+    "smaller, the estimate explains the clouds as well as the ground truth does. Contradicted is the share of source "
+    "points in front of what the target's depth image shows. σ scales the covariances at the end. Time is that of the "
+    "registration alone, on clouds that are there."
+)
+STAGE_NOTES = (
+    "The identity is the source as recorded; the start is where the registration began, by the features of the colour "
+    f"images or by the clouds alone. {RED} marks an end that is worse than its start."
 )
 
 
@@ -88,15 +101,28 @@ class Report:
         """One line for each failed pair."""
         return [f"{record.pair}: {record.reason}" for record in self.records if record.status != "ok"]
 
+    def diagnoses(self) -> list[str]:
+        """One line for each pair of which there is a diagnosis: why it came out so."""
+        return [f"{record.pair}: {record.diagnosis}" for record in self.records if record.diagnosis]
 
-def terminal_table(report: Report) -> Table:
-    """The table of all pairs, for rich."""
+
+def terminal_table(report: Report, width: int = FULL_WIDTH) -> Table:
+    """The table of all pairs, for rich; in a terminal of fewer columns than all figures take, those that matter."""
+    full = width >= FULL_WIDTH
+    columns, row = (COLUMNS, _row) if full else (SHORT_COLUMNS, _short_row)
     # Text, not str: rich would take a unit in brackets for markup.
-    table = Table(title=Text(f"{report.recording}: {report.headline()}"), title_justify="left")
-    for index, name in enumerate(COLUMNS):
-        table.add_column(Text(name), justify="left" if index in (0, len(COLUMNS) - 1) else "right", overflow="fold")
+    title = Text(f"{report.recording}: {report.headline()}")
+    table = Table(title=title, title_justify="left", box=HEAVY_HEAD if full else SIMPLE_HEAD, padding=(0, 1))
+    for index, name in enumerate(columns):
+        last = index == len(columns) - 1
+        table.add_column(Text(name), justify="left" if index == 0 or last else "right", overflow="fold")
     for record in report.records:
-        table.add_row(*map(Text, _row(record)), style=None if record.status == "ok" else "red")
+        cells = list(map(Text, row(record)))
+        if record.worse_than_start:
+            for index, name in enumerate(columns):
+                if name in ("rotation [°]", "translation [mm]", "end"):
+                    cells[index].stylize("red")
+        table.add_row(*cells, style=None if record.status == "ok" else "red")
     return table
 
 
@@ -106,6 +132,12 @@ def markdown(report: Report) -> str:
     lines += ["| " + " | ".join(COLUMNS) + " |", "|:--" + "|--:" * (len(COLUMNS) - 2) + "|:--|"]
     lines += ["| " + " | ".join(cell.replace("|", "/") for cell in _row(record)) + " |" for record in report.records]
     lines += ["", NOTES]
+    if any(record.stages for record in report.records):
+        lines += ["", "## Stages", "", "| pair | " + " | ".join(STAGES) + " |", "|:--" + "|:--" * len(STAGES) + "|"]
+        lines += [_stage_row(record) for record in report.records if record.stages]
+        lines += ["", STAGE_NOTES]
+    if diagnoses := report.diagnoses():
+        lines += ["", "## Why", "", *(f"- {line}" for line in diagnoses)]
     if report.notes:
         lines += ["", "## Notes on the recording", "", *(f"- {note}" for note in report.notes)]
     if failures := report.failures():
@@ -172,11 +204,40 @@ def _row(record: PairRecord) -> list[str]:
         _cell(record.translation_error_mm, ".1f"),
         _cell(record.overlap, ".3f"),
         _cell(record.overlap_truth, ".3f"),
-        _cell(record.sigma, ".2e"),
+        _cell(record.contradicted, ".3f"),
+        _cell(record.sigma_mm2, ".1f"),
         _cell(record.iterations, "d"),
         _cell(record.seconds_registration, ".2f"),
         verdict,
     ]
+
+
+def _short_row(record: PairRecord) -> list[str]:
+    start, end = (_errors(record.stage(name)) for name in ("start", "end"))
+    return [
+        record.pair,
+        start,
+        end,
+        _cell(record.overlap, ".2f"),
+        _cell(record.seconds_registration, ".2f"),
+        record.status,
+    ]
+
+
+def _stage_row(record: PairRecord) -> str:
+    cells = [record.pair]
+    for stage in record.stages:
+        by = f" ({stage.found_by})" if stage.found_by else ""
+        red = f"{RED} " if stage.stage == "end" and record.worse_than_start else ""
+        cells.append(f"{red}{_errors(stage)}, overlap {stage.overlap:.2f}{by}")
+    return "| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |"
+
+
+def _errors(stage: Stage | None) -> str:
+    """As in "1.05° 22 mm"."""
+    if stage is None or stage.rotation_error_deg is None or stage.translation_error_mm is None:
+        return "–"
+    return f"{stage.rotation_error_deg:.2f}° {stage.translation_error_mm:.0f} mm"
 
 
 def _cell(value: float | None, form: str) -> str:

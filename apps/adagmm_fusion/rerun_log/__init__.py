@@ -7,7 +7,7 @@ Each function logs one thing to the RecordingStream it is given; the blueprint i
         for i, pair in enumerate(recording):
             ...
             em_step = log_pair(rec, pair, source_cloud, target_cloud, estimate, frame_index=i, em_step=em_step)
-        log_recording_summary(rec, rows)
+        log_recording_summary(rec, records)
 
 and for a script, which gets before, after, every iteration and the curves:
 
@@ -22,7 +22,7 @@ from adagmm_fusion.rerun_log.pair import log_pair, log_refused_pair
 from adagmm_fusion.rerun_log.properties import log_recording_properties
 from adagmm_fusion.rerun_log.registration_logger import RegistrationLogger
 from adagmm_fusion.rerun_log.streams import check_destination, open_stream
-from adagmm_fusion.rerun_log.summary import SummaryRow, log_recording_summary
+from adagmm_fusion.rerun_log.summary import Progress, log_recording_summary
 from adagmm_fusion.rerun_log.verdict import Limits
 from adagmm_fusion.rerun_log.views import Eye
 from adagmm_fusion.rerun_log.when import When
@@ -30,8 +30,8 @@ from adagmm_fusion.rerun_log.when import When
 __all__ = [
     "Eye",
     "Limits",
+    "Progress",
     "RegistrationLogger",
-    "SummaryRow",
     "When",
     "add_rerun_arguments",
     "check_destination",

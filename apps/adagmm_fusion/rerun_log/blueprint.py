@@ -7,31 +7,27 @@ import rerun.blueprint as rrb
 
 from adagmm_fusion.rerun_log import entities
 from adagmm_fusion.rerun_log.clouds import DIMMED, OVERLAP, RESIDUAL_MM, SHAPE, WEIGHT_SHARE
-from adagmm_fusion.rerun_log.entities import INITIAL_SOURCE, SOURCE, TARGET, TRUE_SOURCE
-from adagmm_fusion.rerun_log.legends import STRIP
-from adagmm_fusion.rerun_log.views import DEFAULT_EYE, Eye, bars, curve, image, scene
+from adagmm_fusion.rerun_log.entities import INITIAL_SOURCE, RECORDED_SOURCE, SOURCE, TARGET, TRUE_SOURCE
+from adagmm_fusion.rerun_log.legends import LEGEND_SIZE
+from adagmm_fusion.rerun_log.views import DEFAULT_EYE, Eye, bars, curve, image, legend, scene
 
-LEGEND_BOUNDS = rrb.VisualBounds2D(x_range=(-40, STRIP[1] + 40), y_range=(-4, STRIP[0] + 24))
-CURVES = {
-    "Energy": entities.ENERGY,
-    "σ [m²]": entities.SIGMA,
-    "Rotation error [°]": entities.ROTATION_ERROR_DEG,
-    "Translation error [mm]": entities.TRANSLATION_ERROR_MM,
-}
 SENSORS = (TARGET, SOURCE, INITIAL_SOURCE, TRUE_SOURCE)
-BEFORE = dict.fromkeys((TARGET.shape, INITIAL_SOURCE.shape))
-AFTER = dict.fromkeys((TARGET.shape, SOURCE.shape))
+STAGES = {
+    "Identity: target blue": RECORDED_SOURCE,
+    "Start": INITIAL_SOURCE,
+    "End": SOURCE,
+}
 COVARIANCES = {TARGET.points: DIMMED, TARGET.covariances: None, SOURCE.covariances: None}
-MARKS = (entities.DIFFERENCE, entities.UNOBSERVABLE)
+MARKS = (entities.DIFFERENCE, f"{entities.DIFFERENCE}/label", entities.UNOBSERVABLE)
 RESULT = dict.fromkeys((entities.FUSED, *(sensor.image for sensor in SENSORS), *MARKS))
 
 
 def dashboard(*, many_pairs: bool = False, eye: Eye = DEFAULT_EYE, page: str | None = None) -> rrb.Blueprint:
     """The blueprint of a recording of one pair, or of many, which opens on the summary page.
 
-    page : "Summary", "Pair" or "Why", to open on another page than the first.
+    page : "Summary", "Pair", "Why" or "Guide", to open on another page than the first.
     """
-    pages = [_overview(eye, many_pairs), _why_page(eye)]
+    pages = [_overview(eye), _why_page(eye), _guide_page()]
     if many_pairs:
         pages.insert(0, _summary_page())
     tabs = rrb.Tabs(*pages, active_tab=0 if page is None else [p.name for p in pages].index(page))
@@ -69,22 +65,38 @@ def send_blueprint(rec: rr.RecordingStream, *, many_pairs: bool = False, eye: Ey
     rec.send_blueprint(dashboard(many_pairs=many_pairs, eye=eye))
 
 
+def _scenes_of_stages(eye: Eye) -> rrb.Horizontal:
+    return rrb.Horizontal(
+        *(scene(name, dict.fromkeys((TARGET.shape, sensor.shape)), eye) for name, sensor in STAGES.items())
+    )
+
+
 def _before_and_after(before: Mapping[str, str | None], after: Mapping[str, str | None], eye: Eye) -> rrb.Horizontal:
     return rrb.Horizontal(scene("Before: target blue, source orange", before, eye), scene("After", after, eye))
 
 
-def _overview(eye: Eye, many_pairs: bool) -> rrb.Horizontal:
-    curves = [bars(n, entities.chart_of(e)) if many_pairs else curve(n, e) for n, e in CURVES.items()]
+def _overview(eye: Eye) -> rrb.Horizontal:
+    curves = [curve("Energy", entities.ENERGY), curve("σ mm², log₁₀", entities.log10_of(entities.SIGMA_MM2))]
+    curves += [error_curve("° off, log₁₀", entities.ROTATION_ERROR_DEG)]
+    curves += [error_curve("mm off, log₁₀", entities.TRANSLATION_ERROR_MM)]
     scenes = rrb.Vertical(
-        _before_and_after(BEFORE, AFTER, eye),
+        _scenes_of_stages(eye),
         rrb.Horizontal(
             scene("Result: cameras truth green, estimate orange, start blue", RESULT, eye.with_sensors()),
-            scene("Covariances σ·Σ", COVARIANCES, eye),
+            scene("Covariances σ·Σ, three standard deviations", COVARIANCES, eye),
         ),
         rrb.Horizontal(*curves),
         row_shares=[5, 5, 3],
     )
-    return rrb.Horizontal(scenes, _side(), column_shares=[3, 1], name="Pair")
+    return rrb.Horizontal(scenes, _side(), column_shares=[5, 2], name="Pair")
+
+
+def error_curve(name: str, metric: str, *, with_iterations: bool = True, legend: bool = False) -> rrb.TimeSeriesView:
+    """The errors of the stages on a logarithmic axis, and those of the EM iterations between."""
+    contents = [f"{entities.stages_of(metric)}/**"]
+    if with_iterations:
+        contents.append(entities.log10_of(metric))
+    return curve(name, *contents, legend=legend)
 
 
 def _why_page(eye: Eye) -> rrb.Vertical:
@@ -96,10 +108,10 @@ def _why_page(eye: Eye) -> rrb.Vertical:
     columns = [
         rrb.Vertical(
             scene(name, {TARGET.points: DIMMED, SOURCE.points: layer, entities.UNOBSERVABLE: None}, eye),
-            rrb.Spatial2DView(name="Legend", origin=legend, titlebar=False, visual_bounds=LEGEND_BOUNDS),
+            legend(legend_entity, LEGEND_SIZE),
             row_shares=[7, 1],
         )
-        for name, layer, legend in layers
+        for name, layer, legend_entity in layers
     ]
     below = rrb.Horizontal(
         bars("Residuals [mm]", entities.RESIDUAL_HISTOGRAM),
@@ -111,23 +123,28 @@ def _why_page(eye: Eye) -> rrb.Vertical:
 
 def _side() -> rrb.Vertical:
     images = rrb.Tabs(
-        image("Target colour", TARGET.image, [TARGET.rgb]),
-        image("Source colour", SOURCE.image, [SOURCE.rgb]),
+        image("Target colour", TARGET.image, [TARGET.rgb, TARGET.features]),
+        image("Source colour", SOURCE.image, [SOURCE.rgb, SOURCE.features]),
+        image("Matches: source, target", entities.MATCHES, [f"{entities.MATCHES}/**"]),
         image("Target depth", TARGET.image, [TARGET.depth]),
         image("Source depth", SOURCE.image, [SOURCE.depth]),
     )
-    texts = rrb.Tabs(
+    reports = rrb.Tabs(
         rrb.TextDocumentView(name="Report", origin=entities.REPORT),
         rrb.TextLogView(name="Log", origin=entities.LOG),
         bars("Residuals [mm]", entities.RESIDUAL_HISTOGRAM),
     )
-    return rrb.Vertical(images, texts)
+    return rrb.Vertical(images, reports, row_shares=[2, 3])
 
 
 def _summary_page() -> rrb.Horizontal:
     charts = rrb.Vertical(
-        bars("Rotation error [°] by frame", entities.SUMMARY_ROTATION_ERROR_DEG),
-        bars("Translation error [mm] by frame", entities.SUMMARY_TRANSLATION_ERROR_MM),
+        error_curve("Rotation error °, log₁₀", entities.ROTATION_ERROR_DEG, with_iterations=False, legend=True),
+        error_curve("Translation error mm, log₁₀", entities.TRANSLATION_ERROR_MM, with_iterations=False),
     )
     table = rrb.TextDocumentView(name="All pairs", origin=entities.SUMMARY_TABLE)
-    return rrb.Horizontal(table, charts, column_shares=[3, 2], name="Summary")
+    return rrb.Horizontal(table, charts, column_shares=[2, 1], name="Summary")
+
+
+def _guide_page() -> rrb.Horizontal:
+    return rrb.Horizontal(rrb.TextDocumentView(name="How to read this", origin=entities.GUIDE), name="Guide")

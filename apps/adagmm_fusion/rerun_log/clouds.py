@@ -63,19 +63,36 @@ def log_points(
     colors: np.ndarray,
     when: When,
     layers: Mapping[str, np.ndarray] | None = None,
+    values: Mapping[str, np.ndarray] | None = None,
 ) -> None:
     """Log points (N, 3) [m] with colours (N, 3) uint8, and further sets of colours by the name of their layer.
 
+    values : numbers (N,) by name, which the viewer tells of a point that is selected.
+
     Raises
     ------
-    InputError  if there are not N colours; Rerun itself would go on with the last one.
+    InputError  if there are not N colours or numbers; Rerun itself would go on with the last one.
     """
     positions = np.ascontiguousarray(points, dtype=np.float32)
     archetypes = [rr.Points3D(positions, colors=_checked(entity, colors, len(positions)), radii=point_radius(points))]
     for layer, layer_colors in (layers or {}).items():
         batch = rr.components.ColorBatch(_checked(f"{entity}:{layer}", layer_colors, len(positions)))
         archetypes.append(rr.DynamicArchetype(layer, components={"colors": batch}))
+    for name, numbers in (values or {}).items():
+        if np.shape(numbers) != (len(positions),):
+            raise InputError(
+                f"{entity}:{name}: expected ({len(positions)},) to match the points, got {np.shape(numbers)}"
+            )
+    if values:
+        archetypes.append(rr.AnyValues(**values))
     when.log(rec, entity, *archetypes)
+
+
+def variance_mm2(cloud: o3d.geometry.PointCloud, sigma: float) -> np.ndarray | None:
+    """(N,) mean variance of each point at the scale σ [mm²], a third of the trace of σ·Σ; None without covariances."""
+    if not cloud.has_covariances():
+        return None
+    return 1e6 * sigma * np.trace(np.asarray(cloud.covariances), axis1=1, axis2=2) / 3.0
 
 
 def _checked(name: str, colors: np.ndarray, n: int) -> np.ndarray:

@@ -6,15 +6,18 @@ import numpy as np
 import rerun as rr
 
 from adagmm_fusion.rerun_log import entities
-from adagmm_fusion.rerun_log.colors import DIFFERENCE_COLOR, UNOBSERVABLE_COLOR
+from adagmm_fusion.rerun_log.colors import BAD_COLOR, DIFFERENCE_COLOR, LABEL_COLOR, UNOBSERVABLE_COLOR
 from adagmm_fusion.rerun_log.iterations import pose_errors
 from adagmm_fusion.rerun_log.when import When
 
 ARROW_RADIUS = 0.012
 
 
-def log_difference(rec: rr.RecordingStream, T_estimate: np.ndarray, T_truth: np.ndarray | None, when: When) -> None:
-    """An arrow from the estimated to the true place of the source sensor, with the difference written beside it."""
+def log_difference(
+    rec: rr.RecordingStream, T_estimate: np.ndarray, T_truth: np.ndarray | None, when: When, *, bad: bool = False
+) -> None:
+    """An arrow from the estimated to the true place of the source sensor, the difference written beside it; red if
+    `bad`."""
     if T_truth is None:
         when.clear(rec, entities.DIFFERENCE)
         return
@@ -23,11 +26,14 @@ def log_difference(rec: rr.RecordingStream, T_estimate: np.ndarray, T_truth: np.
         origins=T_estimate[:3, 3],
         vectors=T_truth[:3, 3] - T_estimate[:3, 3],
         radii=0.5 * ARROW_RADIUS,
-        colors=DIFFERENCE_COLOR,
-        labels=f"{angle_deg:.2f}°, {distance_mm:.0f} mm off",
-        show_labels=True,
+        colors=BAD_COLOR if bad else DIFFERENCE_COLOR,
     )
     when.log(rec, entities.DIFFERENCE, arrow)
+    # The viewer writes a label in its owner's colour, on a box whose colour is its theme's: white is read on both.
+    words = f"{angle_deg:.2f}°, {distance_mm:.0f} mm off{': bad' if bad else ''}"
+    middle = 0.5 * (T_estimate[:3, 3] + T_truth[:3, 3])
+    label = rr.Points3D([middle], colors=LABEL_COLOR, radii=0.0, labels=words, show_labels=True)
+    when.log(rec, f"{entities.DIFFERENCE}/label", label)
 
 
 def log_unobservable(

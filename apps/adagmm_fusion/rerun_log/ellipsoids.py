@@ -1,4 +1,4 @@
-"""Covariances at their true scale σ·Σ, as ellipsoids of one standard deviation on a subset of the points."""
+"""Covariances at their true scale σ·Σ, as ellipsoids of three standard deviations on a subset of the points."""
 
 import numpy as np
 import open3d as o3d
@@ -9,6 +9,7 @@ from adagmm_fusion.rerun_log.when import When
 
 MOST_ELLIPSOIDS = 250
 VAGUE = 10.0
+STANDARD_DEVIATIONS = 3.0
 
 
 def chosen_points(cloud: o3d.geometry.PointCloud, count: int = MOST_ELLIPSOIDS) -> np.ndarray:
@@ -41,7 +42,7 @@ def log_covariances(
     )
     when.log(rec, entity, ellipsoids)
     sigmas = np.asarray(sigmas, dtype=np.float64)
-    sizes = np.sqrt(sigmas[:, None, None] * variances[None]).astype(np.float32)
+    sizes = (STANDARD_DEVIATIONS * np.sqrt(sigmas[:, None, None] * variances[None])).astype(np.float32)
 
     def columns_of(rows):
         kept = sizes[rows]

@@ -3,7 +3,8 @@
     /world                    right, down, forward; the target sensor's frame
     /world/target             the fixed sensor (identity)
     /world/source             the moving sensor: one transform per EM iteration
-    /world/initial/source     where the estimate started
+    /world/recorded/source    the source as recorded, at the identity
+    /world/initial/source     where the registration started
     /world/truth/source       where the calibration puts it
     /world/fused              the surface of all sensors at the estimate, textured
     /world/ways/<sensor>      where each frame of a whole recording was taken
@@ -14,6 +15,7 @@ A sensor's own data lies below it, in its own frame, and never moves: only the s
 from dataclasses import dataclass
 
 WORLD = "world"
+RECORDED = f"{WORLD}/recorded"
 INITIAL = f"{WORLD}/initial"
 TRUTH = f"{WORLD}/truth"
 FUSED = f"{WORLD}/fused"
@@ -28,14 +30,16 @@ ROTATION_ERROR_DEG = f"{METRICS}/rotation_error_deg"
 TRANSLATION_ERROR_MM = f"{METRICS}/translation_error_mm"
 FITNESS = f"{METRICS}/fitness"
 INLIER_RMSE = f"{METRICS}/inlier_rmse"
-
-CHARTS = "charts"
+SIGMA_MM2 = f"{METRICS}/sigma_mm2"
+# The viewer has no logarithmic axis: what is shown on one is logged as its decadic logarithm as well.
+LOG10 = "log10"
+STAGES = f"{LOG10}/stages"
 
 REPORT = "report"
 LOG = "log"
 SUMMARY_TABLE = "summary/table"
-SUMMARY_ROTATION_ERROR_DEG = "summary/rotation_error_deg"
-SUMMARY_TRANSLATION_ERROR_MM = "summary/translation_error_mm"
+GUIDE = "guide"
+MATCHES = "matches"
 DIAGNOSTICS = "diagnostics"
 RESIDUAL_HISTOGRAM = f"{DIAGNOSTICS}/residual_histogram"
 RESIDUAL_LEGEND = f"{DIAGNOSTICS}/residual_legend"
@@ -45,11 +49,18 @@ OVERLAP_LEGEND = f"{DIAGNOSTICS}/overlap_legend"
 FRAME = "frame"
 ITERATION = "iteration"
 EM_STEP = "em_step"
+CLOCK = "recorded at"
+SECONDS = "recorded after"
 
 
-def chart_of(metric: str) -> str:
-    """Where one pair's whole curve of a metric is, in a recording of many pairs."""
-    return metric.replace(METRICS, CHARTS, 1)
+def log10_of(metric: str) -> str:
+    """Where a metric's decadic logarithm is."""
+    return metric.replace(METRICS, LOG10, 1)
+
+
+def stages_of(metric: str) -> str:
+    """Below which the decadic logarithms of a metric at each stage are."""
+    return metric.replace(METRICS, STAGES, 1)
 
 
 @dataclass(frozen=True)
@@ -79,6 +90,10 @@ class Sensor:
         return f"{self.root}/image/checkerboard"
 
     @property
+    def features(self) -> str:
+        return f"{self.root}/image/features"
+
+    @property
     def points(self) -> str:
         return f"{self.root}/points"
 
@@ -93,5 +108,6 @@ class Sensor:
 
 TARGET = Sensor(f"{WORLD}/target")
 SOURCE = Sensor(f"{WORLD}/source")
+RECORDED_SOURCE = Sensor(f"{RECORDED}/source")
 INITIAL_SOURCE = Sensor(f"{INITIAL}/source")
 TRUE_SOURCE = Sensor(f"{TRUTH}/source")

@@ -9,7 +9,8 @@ from adagmm_o3d.result import PointRegistrationResult
 
 CURVES = {
     entities.ENERGY: ("energy", (90, 160, 255)),
-    entities.SIGMA: ("σ [m²]", (200, 120, 255)),
+    entities.SIGMA: ("σ [unit²]", (200, 120, 255)),
+    entities.SIGMA_MM2: ("σ [mm²]", (200, 120, 255)),
     entities.ROTATION_ERROR_DEG: ("rotation error [°]", (255, 150, 60)),
     entities.TRANSLATION_ERROR_MM: ("translation error [mm]", (90, 200, 120)),
     entities.FITNESS: ("fitness", (120, 220, 220)),
@@ -17,10 +18,19 @@ CURVES = {
 }
 
 
+LOGARITHMIC = (entities.SIGMA_MM2, entities.ROTATION_ERROR_DEG, entities.TRANSLATION_ERROR_MM)
+# What is smaller is shown as this: a pose that is exactly right has no logarithm.
+LEAST_SHOWN = 1e-3
+SQUARE_MILLIMETRES = 1e6
+
+
 def log_curve_styles(rec: rr.RecordingStream) -> None:
     """Names and colours of the curves, once per recording."""
     for entity, (name, color) in CURVES.items():
         rec.log(entity, rr.SeriesLines(names=name, colors=color, widths=2.0), static=True)
+        if entity in LOGARITHMIC:
+            style = rr.SeriesLines(names=f"log₁₀ {name}", colors=color, widths=2.0)
+            rec.log(entities.log10_of(entity), style, static=True)
 
 
 def log_transformations(rec: rr.RecordingStream, entity: str, transformations: np.ndarray, when: When) -> None:
@@ -35,20 +45,18 @@ def log_transformations(rec: rr.RecordingStream, entity: str, transformations: n
 
 
 def log_curve(rec: rr.RecordingStream, entity: str, iterations: np.ndarray, values: np.ndarray, when: When) -> None:
-    """Send one curve; values that are not finite are left out, a gap says more than a spike.
-
-    Where there are many pairs, a chart of this pair's curve is logged too: on the timeline `frame` a pair is a moment.
-    """
+    """Send one curve, and its logarithm if it is shown so; values that are not finite are left out, as a gap says more
+    than a spike."""
     values = np.asarray(values, dtype=np.float64)
     finite = np.isfinite(values)
     if not finite.any():
-        when.clear(rec, entities.chart_of(entity))
         return
     values, iterations = values[finite], np.asarray(iterations)[finite]
     when.send_rows(rec, entity, iterations, lambda rows: rr.Scalars.columns(scalars=values[rows]))
-    if when.frame_index is not None:
-        _, color = CURVES[entity]
-        when.log(rec, entities.chart_of(entity), rr.BarChart(values, abscissa=iterations - 0.5, color=color))
+    if entity in LOGARITHMIC:
+        exponents = np.log10(np.maximum(values, LEAST_SHOWN))
+        log10 = entities.log10_of(entity)
+        when.send_rows(rec, log10, iterations, lambda rows: rr.Scalars.columns(scalars=exponents[rows]))
 
 
 def log_estimate_iterations(
@@ -71,7 +79,7 @@ def log_estimate_iterations(
     log_transformations(rec, entities.SOURCE.root, transformations, when)
     after_each = np.arange(1, len(transformations))
     log_curve(rec, entities.ENERGY, after_each, estimate.energies, when)
-    log_curve(rec, entities.SIGMA, after_each, estimate.sigmas, when)
+    log_curve(rec, entities.SIGMA_MM2, after_each, SQUARE_MILLIMETRES * np.asarray(estimate.sigmas), when)
     angles_deg = distances_mm = np.full(len(transformations), np.nan)
     if T_truth is not None:
         angles_deg, distances_mm = pose_errors(transformations, T_truth)

@@ -1,11 +1,13 @@
 """What the colours of the layers mean: the colours themselves, and a legend with numbers for each."""
 
+import cv2
 import numpy as np
 import rerun as rr
 
+from adagmm_fusion.pairs.point_diagnostics import CONTRADICTED, HIDDEN, PARTNER, PointDiagnostics
 from adagmm_fusion.rerun_log import entities
 from adagmm_fusion.rerun_log.clouds import OVERLAP, RESIDUAL_MM, WEIGHT_SHARE
-from adagmm_fusion.rerun_log.diagnostics import CONTRADICTED, HIDDEN, PARTNER, PointDiagnostics
+from adagmm_fusion.rerun_log.colors import BACKGROUND
 from adagmm_fusion.rerun_log.when import When
 
 NO_PARTNER_COLOR = (70, 74, 84)
@@ -15,7 +17,11 @@ OVERLAP_COLORS = {PARTNER: (60, 190, 110), HIDDEN: NO_PARTNER_COLOR, CONTRADICTE
 OVERLAP_NAMES = {PARTNER: "partner", HIDDEN: "out of sight", CONTRADICTED: "contradicted"}
 MOST_WEIGHT_SHOWN = 2.0
 RESIDUAL_SHARE_OF_PARTNER_DISTANCE = 0.5
-STRIP = (12, 240)
+# A legend is an image with its labels in it: text that the viewer draws itself has colours that its themes decide on.
+LEGEND_SIZE = (72, 840)
+STRIP = slice(6, 30)
+STRIP_COLUMNS = slice(60, 780)
+LABEL_ROW, LABEL_SCALE, LABEL_COLOR = 60, 0.8, (235, 235, 235)
 HISTOGRAM_BARS = 30
 
 
@@ -67,24 +73,32 @@ def log_residual_histogram(rec: rr.RecordingStream, diagnostics: PointDiagnostic
 def log_legends(rec: rr.RecordingStream, diagnostics: PointDiagnostics, when: When) -> None:
     """Log the three legends, each a strip of colours with labels, for narrow 2D views."""
     largest = largest_residual_mm(diagnostics)
-    _log_strip(rec, entities.WEIGHT_LEGEND, WEIGHT_RAMP, ["0 ignored", "1 average", f"≥ {MOST_WEIGHT_SHOWN:g}"], when)
-    _log_strip(rec, entities.RESIDUAL_LEGEND, RESIDUAL_RAMP, ["0", f"{largest / 2:g}", f"≥ {largest:g} mm"], when)
+    weights = legend(WEIGHT_RAMP, ["0 ignored", "1 average", f"{MOST_WEIGHT_SHOWN:g} and more"])
+    residuals = legend(RESIDUAL_RAMP, ["0", f"{largest / 2:g}", f"{largest:g} mm and more"])
     states = list(OVERLAP_COLORS)
-    blocks = np.array([OVERLAP_COLORS[s] for s in states]).repeat(STRIP[1] // len(states), axis=0)
-    counts = [f"{OVERLAP_NAMES[s]} {np.mean(diagnostics.overlap == s):.0%}" for s in states]
-    _log_labelled(rec, entities.OVERLAP_LEGEND, blocks, counts, (np.arange(3) + 0.5) * STRIP[1] / 3, when)
+    shares = [f"{OVERLAP_NAMES[s]} {np.mean(diagnostics.overlap == s):.0%}" for s in states]
+    partners = legend(np.array([OVERLAP_COLORS[s] for s in states]), shares, blocks=True)
+    for entity, image in (
+        (entities.WEIGHT_LEGEND, weights),
+        (entities.RESIDUAL_LEGEND, residuals),
+        (entities.OVERLAP_LEGEND, partners),
+    ):
+        when.log(rec, entity, rr.Image(image))
 
 
-def _log_strip(rec: rr.RecordingStream, entity: str, ramp: np.ndarray, labels: list[str], when: When) -> None:
-    colors = ramp_colors(np.linspace(0.0, 1.0, STRIP[1]), 1.0, ramp)
-    _log_labelled(rec, entity, colors, labels, np.linspace(0, STRIP[1], len(labels)), when)
-
-
-def _log_labelled(
-    rec: rr.RecordingStream, entity: str, colors: np.ndarray, labels: list[str], at: np.ndarray, when: When
-) -> None:
-    image = np.ascontiguousarray(np.broadcast_to(colors[None].astype(np.uint8), (STRIP[0], *colors.shape)))
-    when.log(rec, f"{entity}/strip", rr.Image(image))
-    positions = np.stack([at, np.full(len(at), STRIP[0] + 6.0)], axis=1)
-    ticks = rr.Points2D(positions, labels=labels, radii=0.0, colors=(230, 230, 230), show_labels=True)
-    when.log(rec, f"{entity}/labels", ticks)
+def legend(colors: np.ndarray, labels: list[str], *, blocks: bool = False) -> np.ndarray:
+    """(H, W, 3) uint8: colours (n, 3) as a ramp or as blocks side by side, with labels below, evenly spread."""
+    image = np.full((*LEGEND_SIZE, 3), BACKGROUND, np.uint8)
+    width = STRIP_COLUMNS.stop - STRIP_COLUMNS.start
+    at = np.linspace(0.0, 1.0, width)
+    shown = (
+        colors[np.minimum((at * len(colors)).astype(int), len(colors) - 1)] if blocks else ramp_colors(at, 1.0, colors)
+    )
+    image[STRIP, STRIP_COLUMNS] = shown
+    for i, label in enumerate(labels):
+        text_width = cv2.getTextSize(label, cv2.FONT_HERSHEY_SIMPLEX, LABEL_SCALE, 1)[0][0]
+        middle = STRIP_COLUMNS.start + width * ((i + 0.5) / len(labels) if blocks else i / (len(labels) - 1))
+        left = int(np.clip(middle - text_width / 2, 2, LEGEND_SIZE[1] - text_width - 2))
+        place = (left, LABEL_ROW)
+        cv2.putText(image, label, place, cv2.FONT_HERSHEY_SIMPLEX, LABEL_SCALE, LABEL_COLOR, 1, cv2.LINE_AA)
+    return image

@@ -6,9 +6,13 @@ import rerun as rr
 
 from adagmm_fusion.frames.rgbd import RGBDPair
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh
+from adagmm_fusion.pairs.feature_start import FeatureStart
+from adagmm_fusion.pairs.partners import partner_distance as default_partner_distance
+from adagmm_fusion.pairs.point_diagnostics import PointDiagnostics, diagnose
+from adagmm_fusion.pairs.stages import Stage, stages_of, worse_than_start
 from adagmm_fusion.rerun_log import entities
 from adagmm_fusion.rerun_log.cameras import log_blank_images, log_frustum, log_images, log_pose
-from adagmm_fusion.rerun_log.clouds import DIMMED, log_points, own_colors, shaded_colors
+from adagmm_fusion.rerun_log.clouds import DIMMED, log_points, own_colors, shaded_colors, variance_mm2
 from adagmm_fusion.rerun_log.colors import (
     DIMMED_TARGET_COLOR,
     INITIAL_COLOR,
@@ -17,15 +21,17 @@ from adagmm_fusion.rerun_log.colors import (
     TARGET_COLOR,
     TRUTH_COLOR,
 )
-from adagmm_fusion.rerun_log.diagnostics import PointDiagnostics, diagnose
 from adagmm_fusion.rerun_log.differences import log_difference, log_unobservable
 from adagmm_fusion.rerun_log.ellipsoids import log_covariances
-from adagmm_fusion.rerun_log.entities import INITIAL_SOURCE, SOURCE, TARGET, TRUE_SOURCE
+from adagmm_fusion.rerun_log.entities import INITIAL_SOURCE, RECORDED_SOURCE, SOURCE, TARGET, TRUE_SOURCE
+from adagmm_fusion.rerun_log.guide import log_guide
 from adagmm_fusion.rerun_log.iterations import log_curve_styles, log_estimate_iterations
 from adagmm_fusion.rerun_log.legends import log_legends, log_residual_histogram, why_layers
+from adagmm_fusion.rerun_log.matches import log_matches
 from adagmm_fusion.rerun_log.meshes import log_shape_mesh, log_textured_mesh, surface_of
 from adagmm_fusion.rerun_log.messages import log_messages
 from adagmm_fusion.rerun_log.overlay import log_overlay
+from adagmm_fusion.rerun_log.stages import log_stage_styles, log_stages
 from adagmm_fusion.rerun_log.verdict import DEFAULT_LIMITS, Limits, pair_report
 from adagmm_fusion.rerun_log.when import When
 from adagmm_o3d.result import PointRegistrationResult
@@ -47,6 +53,8 @@ def log_pair(
     limits: Limits = DEFAULT_LIMITS,
     partner_distance: float | None = None,
     fused: TexturedMesh | None = None,
+    features: FeatureStart | None = None,
+    diagnosis: str = "",
 ) -> int:
     """Log one pair: both sensors with images, clouds and surfaces, every EM iteration, the result and why it is so.
 
@@ -63,17 +71,25 @@ def log_pair(
     seconds : what the registration took.
     report : markdown for the report view instead of the standard one.
     partner_distance : how near [m] a target point counts as a partner; None for what registrations are judged by.
+    features : where the registration was told to start, if the colour images agreed on that.
+    diagnosis : one sentence on why the pair came out so.
     fused : both frames as one textured surface at the estimate, in the target's frame, as `textured_moment` makes it.
 
     Returns
     -------
     The `em_step` at which the next pair starts.
     """
-    when = When(frame_index, em_step)
+    when = When(frame_index, em_step, pair.source.timestamp)
     rec.log(entities.WORLD, rr.ViewCoordinates.RDF, static=True)
     log_curve_styles(rec)
+    log_stage_styles(rec)
+    log_guide(rec)
     T_truth = pair.T_target_source
-    T_initial = np.eye(4) if estimate is None else np.asarray(estimate.transformations[0])
+    stages: tuple[Stage, ...] = ()
+    if estimate is not None:
+        near = default_partner_distance(target_cloud, partner_distance)
+        stages = stages_of(pair, source_cloud, target_cloud, estimate, near, features)
+    T_initial = np.array(stages[1].T_target_source) if stages else np.eye(4)
     T_estimate = T_initial if estimate is None else np.asarray(estimate.transformation)
 
     _log_sensors(rec, pair, T_initial, when)
@@ -81,23 +97,33 @@ def log_pair(
     rows = 1
     if estimate is None:
         log_pose(rec, SOURCE, T_initial, when)
-        when.clear(rec, entities.CHARTS)
     else:
         rows = log_estimate_iterations(rec, estimate, T_truth, when)
+        log_stages(rec, stages, limits, failed=status == "failed", iterations=rows - 1, when=when)
     diagnostics = None
     if estimate is not None:
         diagnostics = diagnose(
             source_cloud, target_cloud, estimate, target_frame=pair.target, partner_distance=partner_distance
         )
     _log_clouds(rec, source_cloud, target_cloud, estimate, diagnostics, when)
-    log_difference(rec, T_estimate, T_truth, when)
+    worse = bool(stages) and worse_than_start(stages[1], stages[2])
+    log_difference(rec, T_estimate, T_truth, when, bad=worse or status == "failed")
+    log_matches(rec, pair, features, T_estimate, when)
     moved = np.asarray(source_cloud.points) @ T_estimate[:3, :3].T + T_estimate[:3, 3]
     unobservable = () if estimate is None else estimate.unobservable
     log_unobservable(rec, unobservable, moved, np.asarray(target_cloud.points), when)
     log_overlay(rec, pair.source, pair.target, T_estimate, when)
     if report is None:
         report = pair_report(
-            pair.name, estimate, T_truth, diagnostics, limits, status=status, reason=reason, seconds=seconds
+            pair.name,
+            estimate,
+            stages,
+            diagnostics,
+            limits,
+            status=status,
+            reason=reason,
+            diagnosis=diagnosis,
+            seconds=seconds,
         )
     when.log(rec, entities.REPORT, rr.TextDocument(report, media_type=rr.MediaType.MARKDOWN))
     log_messages(rec, pair.name, estimate, reason, when)
@@ -123,8 +149,9 @@ def log_refused_pair(
         target, source = before.target.intrinsics, before.source.intrinsics
         log_blank_images(rec, (target.width, target.height), (source.width, source.height), when)
     when.clear(rec, entities.DIAGNOSTICS)
-    when.clear(rec, entities.CHARTS)
-    report = pair_report(name, None, None, status="failed", reason=reason)
+    when.clear(rec, entities.MATCHES)
+    log_guide(rec)
+    report = pair_report(name, None, (), status="failed", reason=reason)
     when.log(rec, entities.REPORT, rr.TextDocument(report, media_type=rr.MediaType.MARKDOWN))
     log_messages(rec, name, None, reason, when)
     return em_step + 1
@@ -132,6 +159,7 @@ def log_refused_pair(
 
 def _log_sensors(rec: rr.RecordingStream, pair: RGBDPair, T_initial: np.ndarray, when: When) -> None:
     log_pose(rec, TARGET, np.eye(4), when)
+    log_pose(rec, RECORDED_SOURCE, np.eye(4), when)
     log_pose(rec, INITIAL_SOURCE, T_initial, when)
     log_frustum(rec, INITIAL_SOURCE, pair.source.intrinsics, INITIAL_COLOR, when)
     log_frustum(rec, TARGET, pair.target.intrinsics, TARGET_CAMERA_COLOR, when)
@@ -141,6 +169,7 @@ def _log_sensors(rec: rr.RecordingStream, pair: RGBDPair, T_initial: np.ndarray,
         surface = surface_of(frame)
         log_shape_mesh(rec, sensor.shape, surface, color, when)
     log_shape_mesh(rec, INITIAL_SOURCE.shape, surface, SOURCE_COLOR, when)
+    log_shape_mesh(rec, RECORDED_SOURCE.shape, surface, SOURCE_COLOR, when)
     if pair.T_target_source is None:
         when.clear(rec, TRUE_SOURCE.root)
     else:
@@ -157,9 +186,18 @@ def _log_clouds(
     when: When,
 ) -> None:
     dimmed = {DIMMED: shaded_colors(target, DIMMED_TARGET_COLOR)}
-    log_points(rec, TARGET.points, np.asarray(target.points), own_colors(target), when, dimmed)
+    sigma = estimate.sigma if estimate is not None else 0.0
+    values = _variances(target, sigma)
+    log_points(rec, TARGET.points, np.asarray(target.points), own_colors(target), when, dimmed, values)
     why = why_layers(diagnostics, len(source.points))
-    log_points(rec, SOURCE.points, np.asarray(source.points), own_colors(source), when, why)
+    values = _variances(source, sigma)
+    if diagnostics is not None:
+        values |= {
+            "weight_share": diagnostics.weight_share,
+            "residual_mm": diagnostics.residual_mm,
+            "partner_in_target": diagnostics.partner,
+        }
+    log_points(rec, SOURCE.points, np.asarray(source.points), own_colors(source), when, why, values)
     if diagnostics is not None:
         log_legends(rec, diagnostics, when)
         log_residual_histogram(rec, diagnostics, when)
@@ -168,3 +206,8 @@ def _log_clouds(
             log_covariances(rec, sensor.covariances, cloud, estimate.sigmas, color, when)
         else:
             when.clear(rec, sensor.covariances)
+
+
+def _variances(cloud: o3d.geometry.PointCloud, sigma: float) -> dict[str, np.ndarray]:
+    variances = variance_mm2(cloud, sigma)
+    return {} if variances is None else {"variance_mm2": variances}

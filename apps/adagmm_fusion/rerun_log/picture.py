@@ -1,59 +1,29 @@
 """A picture of a Rerun recording as the viewer shows it, on a machine without a display.
 
-    python -m adagmm_fusion.rerun_log.picture RECORDING.rrd PICTURE.jpg [--page Why] [--time iteration=0] [--width 1280]
+    python -m adagmm_fusion.rerun_log.picture RECORDING.rrd PICTURE.jpg [--page Why] [--size 1600x1000] [--theme light]
 
 It needs a Vulkan driver; a software one will do (Debian: mesa-vulkan-drivers libvulkan1).
 """
 
 import argparse
-import contextlib
-import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
-import rerun_cli
 from rerun.experimental import ViewerClient
 
-from adagmm_fusion.errors import OutputError, RecordingError
+from adagmm_fusion.errors import OutputError
 from adagmm_fusion.files.atomic_file import check_output_file, replacing
-from adagmm_fusion.files.input_file import check_input
-from adagmm_fusion.rerun_log.streams import free_port
+from adagmm_fusion.rerun_log.headless_viewer import SECONDS_BETWEEN_LOOKS, THEMES, Theme, headless_viewer
 from adagmm_o3d.errors import AdaGMMError, InputError
 
-RERUN = Path(rerun_cli.__file__).parent / "rerun"
-LOADING_SECONDS = RESTING_SECONDS = 120.0
-SECONDS_BETWEEN_LOOKS = 0.1
+RESTING_SECONDS = 120.0
 JPEG_QUALITY = 85
-
-
-@contextlib.contextmanager
-def headless_viewer(path: Path) -> Iterator[ViewerClient]:
-    """The real viewer with a recording loaded, ended with the block.
-
-    Raises
-    ------
-    RecordingError  if the file is not there or does not load.    OutputError  if the viewer cannot be started.
-    """
-    check_input(Path(path), RecordingError, missing="no such Rerun recording")
-    os.environ.setdefault("RUST_LOG", "error")
-    try:
-        started = ViewerClient.spawn(
-            headless=True, port=free_port(), hide_welcome_screen=True, executable_path=str(RERUN)
-        )
-    except RuntimeError as error:
-        raise OutputError(f"rerun viewer: could not be started: {error}") from error
-    with started as viewer:
-        viewer.open(str(path))
-        give_up = time.monotonic() + LOADING_SECONDS
-        while viewer.get_state().loading:
-            if time.monotonic() > give_up:
-                raise RecordingError(f"{path}: still loading after {LOADING_SECONDS:g} s")
-            time.sleep(SECONDS_BETWEEN_LOOKS)
-        yield viewer
+# The bar on top says what machine the viewer runs on, and nothing of the recording.
+TOP_BAR_PX = 37
 
 
 def screenshot(viewer: ViewerClient, view_id: str | None = None) -> np.ndarray:
@@ -103,23 +73,23 @@ def save_picture(
     *,
     page: str | None = None,
     at: tuple[str, int] | None = None,
-    width: int = 1280,
+    size: tuple[int, int] = (1280, 720),
+    theme: Theme = "dark",
 ) -> None:
-    """Write a picture of the viewer's window, of a page of the dashboard, `at` a timeline and its number.
+    """Write a picture of the viewer's window below its top bar, of a page of the dashboard, `at` a timeline and number.
 
-    width : [px], to which the window is scaled.
+    size : (width, height) [px] of the window.
     """
     check_output_file(picture)
-    with headless_viewer(recording) as viewer:
+    with headless_viewer(recording, size=size, theme=theme) as viewer:
         if page is not None:
             show_page(viewer, page)
         if at is not None:
             viewer.set_time(at[0], sequence=at[1], play_state="paused")
-        window = screenshot(viewer)
-    height = round(window.shape[0] * width / window.shape[1])
-    small = cv2.resize(window, (width, height), interpolation=cv2.INTER_AREA)
+        viewer.run_command("ui.toggle_top_panel")
+        window = screenshot(viewer)[TOP_BAR_PX:]
     try:
-        complete, data = cv2.imencode(picture.suffix, small[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+        complete, data = cv2.imencode(picture.suffix, window[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     except cv2.error as error:
         raise OutputError(f"{picture}: expected a name ending in .jpg or .png") from error
     if not complete:
@@ -135,12 +105,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("recording", type=Path, help="a .rrd file")
     parser.add_argument("picture", type=Path, help="where the .jpg or .png goes")
-    parser.add_argument("--page", help="Summary, Pair or Why (default: where it opens)")
+    parser.add_argument("--page", help="Summary, Pair, Why, ... (default: where it opens)")
     parser.add_argument("--time", metavar="TIMELINE=N", help="e.g. iteration=0 or frame=3 (default: where it opens)")
-    parser.add_argument("--width", type=int, default=1280, help="in pixels (default: %(default)s)")
+    parser.add_argument("--size", default="1280x720", help="of the window, in pixels (default: %(default)s)")
+    parser.add_argument("--theme", choices=THEMES, default="dark", help="(default: %(default)s)")
     args = parser.parse_args(arguments)
     try:
-        save_picture(args.recording, args.picture, page=args.page, at=_parsed_time(args.time), width=args.width)
+        save_picture(
+            args.recording,
+            args.picture,
+            page=args.page,
+            at=_parsed_time(args.time),
+            size=_parsed_size(args.size),
+            theme=args.theme,
+        )
     except AdaGMMError as error:
         print(error, file=sys.stderr)
         return 1
@@ -154,6 +132,13 @@ def _parsed_time(text: str | None) -> tuple[str, int] | None:
     if not timeline or not number.isdigit():
         raise InputError(f"--time: expected TIMELINE=N as in iteration=0, got {text!r}")
     return timeline, int(number)
+
+
+def _parsed_size(text: str) -> tuple[int, int]:
+    width, _, height = text.partition("x")
+    if not (width.isdecimal() and height.isdecimal() and 320 <= int(width) <= 8192 and 240 <= int(height) <= 8192):
+        raise InputError(f"--size: expected WIDTHxHEIGHT up to 8192x8192 as in 1280x720, got {text!r}")
+    return int(width), int(height)
 
 
 if __name__ == "__main__":

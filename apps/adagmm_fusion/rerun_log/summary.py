@@ -1,4 +1,4 @@
-"""The first page of a recording of many pairs: every pair with its errors, the worst first, and the errors as bars."""
+"""The first page of a recording of many pairs: every pair with its figures, the worst first, and why each is so."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,84 +7,97 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
+from adagmm_fusion.pairs.record import PairRecord
+from adagmm_fusion.pairs.stages import END, IDENTITY, START
 from adagmm_fusion.rerun_log import entities
 
-STATUS_COLORS = {"ok": (60, 190, 110), "failed": (225, 70, 60)}
-BAR_WIDTH = 0.8
+MARKS = {"ok": "✔", "failed": "×"}
+WORSE = "▲"  # the viewer has no coloured signs
+FIGURES = ("frame", "", "end °", "mm", "start °", "mm", "identity °", "mm")
+HEADINGS = (*FIGURES, "start by", "overlap", "contra", "colour", "⚠", "s")
+LEGEND = (
+    f"*end*, *start*, *identity*: errors against the ground truth, {WORSE} where the end is worse than the start. "
+    "*start by*: how many features agreed, or the clouds alone. *overlap*, *contra*: share of the source with a "
+    "partner, and in front of what the target sees [%]. *colour*: correlation of brightness. *⚠*: warnings."
+)
 HINT = "The timeline `frame` below changes the pair; `em_step` runs through the EM iterations of all pairs."
 
 
 @dataclass(frozen=True)
-class SummaryRow:
-    """One pair: its number on the timeline `frame`, and how it went.
+class Progress:
+    """How far a run is that still goes on.
 
-    status : "ok", or "failed" with the reason.    rotation_deg, translation_mm : None without ground truth.
-    overlap : 0 to 1.
+    pairs : how many it is asked for.    seconds_left : as it looks now.
     """
 
-    frame_index: int
-    name: str
-    status: str
-    rotation_deg: float | None = None
-    translation_mm: float | None = None
-    overlap: float | None = None
-    iterations: int | None = None
-    seconds: float | None = None
-    reason: str = ""
+    pairs: int
+    seconds_left: float
 
 
-def log_recording_summary(rec: rr.RecordingStream, rows: Sequence[SummaryRow], *, title: str = "Summary") -> None:
-    """Log the table of all pairs and the two bar charts, once, after the last pair."""
-    text = summary_markdown(rows, title)
+def log_recording_summary(
+    rec: rr.RecordingStream,
+    records: Sequence[PairRecord],
+    *,
+    title: str = "Summary",
+    progress: Progress | None = None,
+) -> None:
+    """Log the table of all pairs so far, in place of the one before."""
+    text = summary_markdown(records, title, progress)
     rec.log(entities.SUMMARY_TABLE, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
-    for entity, field in (
-        (entities.SUMMARY_ROTATION_ERROR_DEG, "rotation_deg"),
-        (entities.SUMMARY_TRANSLATION_ERROR_MM, "translation_mm"),
-    ):
-        for status, color in STATUS_COLORS.items():
-            known = [
-                (r.frame_index, getattr(r, field)) for r in rows if r.status == status and getattr(r, field) is not None
-            ]
-            if known:
-                frames, values = np.array(known, dtype=np.float64).T
-                bars = rr.BarChart(
-                    values, abscissa=frames - 0.5 * BAR_WIDTH, widths=np.full(len(frames), BAR_WIDTH), color=color
-                )
-                rec.log(f"{entity}/{status}", bars, static=True)
 
 
-def summary_markdown(rows: Sequence[SummaryRow], title: str) -> str:
-    """The table, the worst first: pairs that gave no pose, then by rotation error, then those without ground truth."""
-    failed = sum(row.status == "failed" for row in rows)
-    known = [row for row in rows if row.rotation_deg is not None]
-    lines = [f"# {title}: {len(rows) - failed} of {len(rows)} pairs registered", ""]
+def summary_markdown(records: Sequence[PairRecord], title: str, progress: Progress | None = None) -> str:
+    """The table, the worst first: pairs without a pose, failed ones, then by rotation error; below it the reasons."""
+    failed = sum(record.status == "failed" for record in records)
+    worse = sum(record.worse_than_start for record in records)
+    lines = [f"### {title}: {len(records) - failed} of {len(records)} pairs registered", ""]
+    if progress is not None:
+        lines += [f"**{len(records)} of {progress.pairs} done, about {_duration(progress.seconds_left)} left.**", ""]
+    known = [record for record in records if record.rotation_error_deg is not None]
     if known:
-        rotation = np.median([row.rotation_deg for row in known])
-        translation = np.median([row.translation_mm for row in known])
+        rotation = np.median([record.rotation_error_deg for record in known])
+        translation = np.median([record.translation_error_mm for record in known])
         lines += [f"Median errors: **{rotation:.2f}°**, **{translation:.0f} mm**.", ""]
-    lines += [HINT, ""]
-    lines += ["| frame | pair | verdict | rotation [°] | translation [mm] | overlap [%] | iterations | seconds |"]
-    lines += ["|--:|:--|:--|--:|--:|--:|--:|--:|"]
-    for row in sorted(rows, key=_badness, reverse=True):
-        mark = {"failed": "× ", "ok": "✔ "}.get(row.status, "")
-        verdict = f"{mark}{row.status}" + (f": {row.reason}" if row.reason else "")
-        overlap = None if row.overlap is None else 100.0 * row.overlap
-        cells = [
-            str(row.frame_index),
-            row.name,
-            verdict,
-            _cell(row.rotation_deg, ".2f"),
-            _cell(row.translation_mm, ".0f"),
-        ]
-        cells += [_cell(overlap, ".0f"), _cell(row.iterations, "d"), _cell(row.seconds, ".2f")]
-        lines.append("| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |")
+    if worse:
+        lines += [f"{WORSE} {worse} ended worse than they started.", ""]
+    lines += ["| " + " | ".join(HEADINGS) + " |", "|--:|:--" + "|--:" * (len(HEADINGS) - 2) + "|"]
+    ordered = sorted(enumerate(records), key=lambda numbered: _badness(numbered[1]), reverse=True)
+    lines += [_row(frame, record) for frame, record in ordered]
+    lines += ["", LEGEND, "", HINT, ""]
+    lines += [_why(frame, record) for frame, record in ordered]
     return "\n".join(lines)
 
 
-def _badness(row: SummaryRow) -> tuple:
-    no_pose = row.status == "failed" and row.rotation_deg is None
-    return no_pose, row.status == "failed", row.rotation_deg if row.rotation_deg is not None else -1.0
+def _row(frame: int, record: PairRecord) -> str:
+    cells = [str(frame), MARKS.get(record.status, "") + (WORSE if record.worse_than_start else "")]
+    for name in (END, START, IDENTITY):
+        stage = record.stage(name)
+        cells.append(_cell(None if stage is None else stage.rotation_error_deg, ".2f"))
+        cells.append(_cell(None if stage is None else stage.translation_error_mm, ".0f"))
+    features = None if record.feature_inliers is None else f"features {record.feature_inliers}"
+    cells += [features or record.started_from or "–"]
+    for share in (record.overlap, record.contradicted):
+        cells.append(_cell(None if share is None else 100.0 * share, ".0f"))
+    cells += [_cell(record.color_correlation, ".2f"), str(len(record.warnings) or "–")]
+    cells += [_cell(record.seconds_registration, ".2f")]
+    return "| " + " | ".join(cells) + " |"
+
+
+def _why(frame: int, record: PairRecord) -> str:
+    words = [text for text in (record.diagnosis, *record.warnings) if text] or [record.reason or record.status]
+    return f"- **{frame}** {record.pair}: {'; '.join(words)}."
+
+
+def _badness(record: PairRecord) -> tuple:
+    no_pose = record.status == "failed" and record.rotation_error_deg is None
+    off = -1.0 if record.rotation_error_deg is None else record.rotation_error_deg
+    return no_pose, record.status == "failed", record.worse_than_start, off
 
 
 def _cell(value: Any, form: str) -> str:
     return "–" if value is None else format(value, form)
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(max(1, round(seconds)), 60)
+    return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"

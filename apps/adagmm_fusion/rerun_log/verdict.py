@@ -1,11 +1,12 @@
 """What a person reads first: did it work, how far off is it, and if not, why. Markdown for the report view."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from adagmm_fusion.rerun_log.diagnostics import CONTRADICTED, PARTNER, PointDiagnostics
-from adagmm_fusion.rerun_log.iterations import pose_errors
+from adagmm_fusion.pairs.point_diagnostics import CONTRADICTED, HIDDEN, PARTNER, PointDiagnostics
+from adagmm_fusion.pairs.stages import END, Stage, worse_than_start
 from adagmm_o3d.result import PointRegistrationResult
 
 
@@ -23,60 +24,83 @@ DEFAULT_LIMITS = Limits()
 def pair_report(
     name: str,
     estimate: PointRegistrationResult | None,
-    T_truth: np.ndarray | None,
+    stages: Sequence[Stage],
     diagnostics: PointDiagnostics | None = None,
     limits: Limits = DEFAULT_LIMITS,
     *,
     status: str = "",
     reason: str = "",
+    diagnosis: str = "",
     seconds: float | None = None,
 ) -> str:
-    """The report of one pair: the verdict, a table of before, after and limit, and what the estimate says of itself."""
-    lines = [f"# {verdict(estimate, T_truth, limits, status, reason)}", "", f"**{name}**", ""]
+    """The report of one pair: the verdict, why, the errors of every stage, and what the estimate says of itself.
+
+    Its tables are narrow: they are read beside the pictures, in small windows too.
+    """
+    lines = [f"### {verdict(estimate, stages, limits, status, reason)}", ""]
+    if diagnosis:
+        lines += [f"**Why:** {diagnosis}.", ""]
     if estimate is None:
-        return "\n".join(lines)
-    lines += ["| | before | after | limit |", "|:--|--:|--:|--:|"]
-    if T_truth is not None:
-        ends = np.stack([estimate.transformations[0], estimate.transformation])
-        angles_deg, distances_mm = pose_errors(ends, T_truth)
-        lines += [
-            f"| rotation error [°] | {angles_deg[0]:.2f} | **{angles_deg[1]:.2f}** | {limits.rotation_deg:g} |",
-            f"| translation error [mm] | {distances_mm[0]:.0f} | **{distances_mm[1]:.0f}** | "
-            f"{limits.translation_mm:g} |",
-        ]
+        return "\n".join([*lines, name])
+    if any(stage.rotation_error_deg is not None for stage in stages):
+        lines += ["| error | ° | mm |", "|:--|--:|--:|"]
+        lines += [_stage_row(stage, stages) for stage in stages]
+        lines += [f"| limit | {limits.rotation_deg:g} | {limits.translation_mm:g} |", ""]
     else:
-        lines += ["| *no ground truth* | | | |"]
-    lines += [f"| overlap, as estimated [%] | | {100.0 * estimate.overlap:.0f} | |"]
+        lines += ["*No ground truth.*", ""]
+    lines += [f"| of the source | {END} | of all stages |", "|:--|--:|--:|"]
     if diagnostics is not None:
-        partners, contradicted = (100.0 * np.mean(diagnostics.overlap == state) for state in (PARTNER, CONTRADICTED))
-        lines += [
-            f"| overlap, within {1000.0 * diagnostics.partner_distance:.0f} mm [%] | | {partners:.0f} | |",
-            f"| contradicted by the target's depth [%] | | {contradicted:.0f} | |",
-        ]
-    if len(estimate.sigmas):
-        lines += [f"| σ [mm²] | {1e6 * estimate.sigmas[0]:.3g} | {1e6 * estimate.sigmas[-1]:.3g} | |"]
-    lines += ["", f"{estimate.iterations} EM iterations, stopped: {estimate.stop_reason}."]
+        within = f"overlap, within {1000.0 * diagnostics.partner_distance:.0f} mm"
+        for text, state, attribute in (
+            (within, PARTNER, "overlap"),
+            ("contradicted", CONTRADICTED, "contradicted"),
+            ("out of sight", HIDDEN, ""),
+        ):
+            shares = " → ".join(f"{100.0 * getattr(stage, attribute):.0f}" for stage in stages if attribute)
+            lines.append(f"| {text} | {100.0 * np.mean(diagnostics.overlap == state):.0f} % | {shares} |")
+    lines.append(f"| partners it believes in | {100.0 * estimate.overlap:.0f} % | |")
+    if any(stage.color_correlation is not None for stage in stages):
+        known = [stage.color_correlation for stage in stages]
+        shares = " → ".join("–" if value is None else f"{value:.2f}" for value in known)
+        last = "–" if known[-1] is None else f"{known[-1]:.2f}"
+        lines.append(f"| colours correlate | {last} | {shares} |")
+    sigma = f", σ {1e6 * estimate.sigmas[0]:.3g} → {1e6 * estimate.sigmas[-1]:.3g} mm²" if len(estimate.sigmas) else ""
+    lines += ["", f"{estimate.iterations} EM iterations{sigma}, stopped: {estimate.stop_reason}."]
     if seconds is not None:
         lines += [f"{seconds:.2f} s."]
     if estimate.unobservable:
         lines += ["", f"**{len(estimate.unobservable)} direction(s) not determined by the clouds**: see the arrows."]
-    lines += ["", *(f"- **Warning:** {warning}" for warning in estimate.warnings)]
+    lines += ["", *(f"- **Warning:** {warning}" for warning in estimate.warnings), "", name]
     return "\n".join(lines)
 
 
 def verdict(
     estimate: PointRegistrationResult | None,
-    T_truth: np.ndarray | None,
+    stages: Sequence[Stage],
     limits: Limits,
     status: str = "",
     reason: str = "",
 ) -> str:
-    """One line; the caller's own status and reason go before what the errors say."""
-    if estimate is None or status == "failed":
-        return f"× Failed{f': {reason}' if reason else ''}"
-    if T_truth is None:
+    """One line; the caller's own status goes before what the errors say, its reason stands where there are none."""
+    end = stages[-1] if stages else None
+    if estimate is None or end is None or end.rotation_error_deg is None or end.translation_error_mm is None:
+        if estimate is None or status == "failed":
+            return f"× Failed{f': {reason}' if reason else ''}"
         return "? Registered, no ground truth to compare with"
-    angle_deg, distance_mm = (float(e[0]) for e in pose_errors(estimate.transformation[None], T_truth))
-    if angle_deg <= limits.rotation_deg and distance_mm <= limits.translation_mm:
-        return f"✔ Registered: {angle_deg:.2f}° and {distance_mm:.0f} mm off"
-    return f"× Failed: {angle_deg:.2f}° and {distance_mm:.0f} mm off"
+    off = f"{end.rotation_error_deg:.2f}° and {end.translation_error_mm:.0f} mm off"
+    if (
+        status == "failed"
+        or end.rotation_error_deg > limits.rotation_deg
+        or end.translation_error_mm > limits.translation_mm
+    ):
+        return f"× Failed: {off}"
+    return f"✔ Registered: {off}" + (", worse than its start" if worse_than_start(stages[1], end) else "")
+
+
+def _stage_row(stage: Stage, stages: Sequence[Stage]) -> str:
+    numbers = f"{stage.rotation_error_deg:.2f} | {stage.translation_error_mm:.0f}"
+    if stage.stage != END:
+        return f"| {stage.title} | {numbers} |"
+    angle, distance = numbers.split(" | ")
+    worse = " ▲ worse" if worse_than_start(stages[1], stage) else ""
+    return f"| **{stage.title}**{worse} | **{angle}** | **{distance}** |"

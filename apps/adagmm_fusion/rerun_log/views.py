@@ -9,8 +9,7 @@ import rerun.blueprint as rrb
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
 from adagmm_fusion.rerun_log import entities
-
-BACKGROUND = (24, 26, 32)
+from adagmm_fusion.rerun_log.colors import BACKGROUND
 
 
 @dataclass(frozen=True)
@@ -77,8 +76,20 @@ def image(name: str, origin: str, contents: list[str]) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(name=name, origin=origin, contents=[f"/{entity}" for entity in contents])
 
 
-def curve(name: str, entity: str) -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(name=name, origin=entity, plot_legend=rrb.PlotLegend(visible=False))
+def curve(name: str, *contents: str, legend: bool = False) -> rrb.TimeSeriesView:
+    """Series over time, with a cursor; all such views share one time axis."""
+    return rrb.TimeSeriesView(
+        name=name,
+        contents=[f"/{entity}" for entity in contents],
+        axis_x=rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal),
+        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop, visible=legend),
+    )
+
+
+def legend(entity: str, size: tuple[int, int]) -> rrb.Spatial2DView:
+    """An image of (height, width) as it is, without a title."""
+    bounds = rrb.VisualBounds2D(x_range=(0, size[1]), y_range=(0, size[0]))
+    return rrb.Spatial2DView(name="Legend", origin=entity, titlebar=False, visual_bounds=bounds, background=BACKGROUND)
 
 
 def bars(name: str, entity: str) -> rrb.BarChartView:

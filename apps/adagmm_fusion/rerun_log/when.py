@@ -7,7 +7,10 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from adagmm_fusion.rerun_log.entities import EM_STEP, FRAME, ITERATION
+from adagmm_fusion.rerun_log.entities import CLOCK, EM_STEP, FRAME, ITERATION, SECONDS
+
+# Time stamps beyond are taken for seconds since 1970, as clocks give them; others count from a start of their own.
+EPOCH_SECONDS = 1e8
 
 
 @dataclass(frozen=True)
@@ -16,19 +19,20 @@ class When:
 
     A recording of one pair (`frame_index` None) has static data and the timeline `iteration`. A recording of many pairs
     has the timeline `frame`, where each pair shows its result, and `em_step`, which runs through the EM iterations of
-    all pairs, one pair after the other.
+    all pairs, one pair after the other; with a `timestamp` [s] also "recorded at", or "recorded after" where it is none
+    of a clock.
     """
 
     frame_index: int | None = None
     em_step: int = 0
+    timestamp: float | None = None
 
     def log(self, rec: rr.RecordingStream, entity: str, *archetypes: Any) -> None:
         """Log what holds for the whole pair."""
         if self.frame_index is None:
             rec.log(entity, *archetypes, static=True)
             return
-        rec.set_time(FRAME, sequence=self.frame_index)
-        rec.set_time(EM_STEP, sequence=self.em_step)
+        self._set_times(rec, self.em_step)
         rec.log(entity, *archetypes)
         rec.reset_time()
 
@@ -37,8 +41,7 @@ class When:
         if self.frame_index is None:
             rec.set_time(ITERATION, sequence=iteration)
         else:
-            rec.set_time(FRAME, sequence=self.frame_index)
-            rec.set_time(EM_STEP, sequence=self.em_step + iteration)
+            self._set_times(rec, self.em_step + iteration)
         rec.log(entity, *archetypes)
         rec.reset_time()
 
@@ -60,4 +63,17 @@ class When:
             times = [rr.TimeColumn(EM_STEP, sequence=iterations + self.em_step)]
         rec.send_columns(entity, times, columns_of(slice(None)))
         if self.frame_index is not None:
-            rec.send_columns(entity, [rr.TimeColumn(FRAME, sequence=[self.frame_index])], columns_of(slice(-1, None)))
+            result = [rr.TimeColumn(FRAME, sequence=[self.frame_index])]
+            if self.timestamp is not None and abs(self.timestamp) > EPOCH_SECONDS:
+                result.append(rr.TimeColumn(CLOCK, timestamp=[self.timestamp]))
+            elif self.timestamp is not None:
+                result.append(rr.TimeColumn(SECONDS, duration=[self.timestamp]))
+            rec.send_columns(entity, result, columns_of(slice(-1, None)))
+
+    def _set_times(self, rec: rr.RecordingStream, em_step: int) -> None:
+        rec.set_time(FRAME, sequence=self.frame_index)
+        rec.set_time(EM_STEP, sequence=em_step)
+        if self.timestamp is not None and abs(self.timestamp) > EPOCH_SECONDS:
+            rec.set_time(CLOCK, timestamp=self.timestamp)
+        elif self.timestamp is not None:
+            rec.set_time(SECONDS, duration=self.timestamp)

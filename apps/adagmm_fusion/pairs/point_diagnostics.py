@@ -15,6 +15,20 @@ MILLIMETRES_PER_METRE = 1000.0
 
 
 @dataclass(frozen=True)
+class PointsAtPose:
+    """Where the M source points are at a pose, seen from the target.
+
+    overlap : (M,) PARTNER, HIDDEN or CONTRADICTED, as in PointDiagnostics.    nearest : (M,) the nearest target point.
+    moved : (M, 3) [m], in the target's frame.    distances : (M,) [m] to the nearest target point.
+    """
+
+    overlap: np.ndarray
+    nearest: np.ndarray
+    moved: np.ndarray
+    distances: np.ndarray
+
+
+@dataclass(frozen=True)
 class PointDiagnostics:
     """What is known of each source point at the estimated pose; M points.
 
@@ -22,12 +36,13 @@ class PointDiagnostics:
     residual_mm : (M,) distance to the target's surface, along its normal where it has them; NaN without partner.
     overlap : (M,) PARTNER: the target has a point within `partner_distance`. HIDDEN: outside the target's image, or
         behind what it sees. CONTRADICTED: in front of what the target sees, which looks through it.
-    partner_distance : [m].
+    partner : (M,) the index of the nearest target point, -1 without partner.    partner_distance : [m].
     """
 
     weight_share: np.ndarray
     residual_mm: np.ndarray
     overlap: np.ndarray
+    partner: np.ndarray
     partner_distance: float
 
 
@@ -49,24 +64,38 @@ def diagnose(
         every point without partner counts as HIDDEN.
     partner_distance : [m]; None for the one that registrations are judged by.
     """
-    T = np.asarray(estimate.transformation)
-    moved = np.asarray(source.points) @ T[:3, :3].T + T[:3, 3]
-    distances, nearest = cKDTree(np.asarray(target.points)).query(moved)
     near = partners.partner_distance(target, partner_distance)
-    has_partner = distances <= near
-    residuals = distances
+    found = points_at_pose(source, target, estimate.transformation, near, target_frame)
+    residuals = found.distances
     if target.has_normals():
-        gap = moved - np.asarray(target.points)[nearest]
-        residuals = np.abs(np.einsum("ij,ij->i", gap, np.asarray(target.normals)[nearest]))
-    overlap = np.where(has_partner, PARTNER, HIDDEN)
-    if target_frame is not None:
-        overlap[~has_partner & _contradicted(moved, target_frame, near)] = CONTRADICTED
+        gap = found.moved - np.asarray(target.points)[found.nearest]
+        residuals = np.abs(np.einsum("ij,ij->i", gap, np.asarray(target.normals)[found.nearest]))
+    has_partner = found.overlap == PARTNER
     return PointDiagnostics(
         weight_share=weight_shares(estimate.row_weights),
         residual_mm=np.where(has_partner, residuals * MILLIMETRES_PER_METRE, np.nan),
-        overlap=overlap,
+        overlap=found.overlap,
+        partner=np.where(has_partner, found.nearest, -1),
         partner_distance=near,
     )
+
+
+def points_at_pose(
+    source: o3d.geometry.PointCloud,
+    target: o3d.geometry.PointCloud,
+    T_target_source: np.ndarray,
+    partner_distance: float,
+    target_frame: RGBDFrame | None = None,
+) -> PointsAtPose:
+    """Whom every source point meets at a pose (4, 4); arguments as in `diagnose`."""
+    T = np.asarray(T_target_source)
+    moved = np.asarray(source.points) @ T[:3, :3].T + T[:3, 3]
+    distances, nearest = cKDTree(np.asarray(target.points)).query(moved)
+    has_partner = distances <= partner_distance
+    overlap = np.where(has_partner, PARTNER, HIDDEN)
+    if target_frame is not None:
+        overlap[~has_partner & _contradicted(moved, target_frame, partner_distance)] = CONTRADICTED
+    return PointsAtPose(overlap, nearest, moved, distances)
 
 
 def weight_shares(row_weights: np.ndarray) -> np.ndarray:

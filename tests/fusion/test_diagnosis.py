@@ -54,9 +54,7 @@ CASES = {
         "as well there (overlap 0.80, at the start 0.80)",
     ),
     "features wrong": (
-        Evidence(
-            "failed", "", stage("start", 70.0, 900.0, by="features"), stage("end", 70.0, 900.0, colors=0.1), **FOUND
-        ),
+        Evidence("failed", "", replace(OFF, found_by="features"), stage("end", 70.0, 900.0, colors=0.1), **FOUND),
         "the features agree on a wrong pose (131 of 180 features agreed, 40.0° and 900 mm off); colour contradicts "
         "(correlation 0.10)",
     ),

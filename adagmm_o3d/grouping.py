@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adagmm_o3d.arguments import Array
+
+# A cloud is dense when it has so many points, and its cells no more than this share of them.
+DENSE_FROM, MOST_LEFT = 10_000, 0.6
+# The edge of a dense cloud's cells in radii, halved until there are so many cells: of a cloud whose bulk is small
+# beside its radius, or of a curve, larger ones would leave too little.
+CELL, FEWEST = 0.025, 5_000
+# A cell's number: its place along each axis in so many bits, and above them one of so many kinds.
+AXIS_BITS, MOST_KINDS = 19, 32
 
 
 class Groups:
@@ -40,3 +49,37 @@ class Groups:
         sizes = np.diff(self._first, append=len(self._order))
         spread[self._order] = values.repeat(sizes, axis=0)
         return spread
+
+
+def even_cells(points: Array) -> Groups | None:
+    """(n, D) points by the cell that they lie in; None where the cloud is not dense.
+
+    The edge of a cell is CELL times the root mean square distance from the centroid, or a half, a quarter of it.
+    """
+    if len(points) < DENSE_FROM:
+        return None
+    offsets = points - points.mean(axis=0)
+    edge = CELL * math.sqrt((offsets**2).sum(axis=1).mean())
+    while edge > 0.0:
+        cells = Groups(cell_numbers(offsets, np.full(len(points), edge)), np.ones(len(points)))
+        if len(cells) > MOST_LEFT * len(points):
+            break
+        if len(cells) >= FEWEST:
+            return cells
+        edge *= 0.5
+    return None
+
+
+def cell_numbers(points: Array, edges: Array, kinds: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
+    """(n,) numbers of the cells, of edges (n,), that points (n, D) lie in, each kind (n,) of points by itself.
+
+    Negative, and a point's own, where that is too far out to have one. `kinds` are from 0 to MOST_KINDS - 1.
+    """
+    half = 1 << (AXIS_BITS - 1)
+    places = np.floor(points / edges[:, None])
+    apart = (np.abs(places) >= half).any(axis=1)
+    numbers = np.zeros(len(points), np.int64) if kinds is None else kinds
+    for axis in range(points.shape[1]):
+        place = np.where(apart, 0.0, places[:, axis]).astype(np.int64) + half
+        numbers = (numbers << AXIS_BITS) | place
+    return np.where(apart, -1 - np.arange(len(points)), numbers)

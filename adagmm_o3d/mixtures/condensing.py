@@ -1,71 +1,159 @@
-"""Dense clouds with fewer points: what lies closer together than any σ can tell apart is one component.
+"""Clouds with fewer points: what lies closer together than a scale σ can tell apart is one component.
 
-Until σ has come down to SIGMA_FLOOR a Gaussian is as wide as 1.6 % of the radius at least, however many
-points there are. Points within a cell much smaller than that, and about as certain, are merged into one of their
-weight. The number of components is then that of the cells the surface runs through, and a cloud of a million points
-costs little more than one of fifty thousand.
+Points of a cell that are about as certain become one component with their mean, their mean covariance and their own
+scatter about it. The scatter counts OVERLAP times: then neighbouring components overlap, their sum is as smooth as the
+surface that the points are on, and it is thin where they are. Points that carry no covariances of a surface get one
+that way.
+
+A dense cloud is looked at so from the start. Its cells count alike however many points are in them, as how often a
+sensor hits a surface says nothing of how much it tells: a spinning LiDAR's rings would be registered to each other.
+Any other cloud is condensed where σ is so wide that a point would meet very many others.
 """
 
 from __future__ import annotations
 
-import math
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adagmm_o3d.grouping import Groups
+from adagmm_o3d.arguments import Array
+from adagmm_o3d.grouping import CELL, DENSE_FROM, FEWEST, MOST_KINDS, MOST_LEFT, Groups, cell_numbers
 from adagmm_o3d.mixtures.mixture import Mixture
 
 # No part of a cloud that decides between ends resolves its shape better than this σ: a standard deviation of 1.6 % of
 # the radius.
 SIGMA_FLOOR = 2.5e-4
-# Smaller clouds have hardly two points in a cell.
-CONDENSED_FROM = 20_000
-# Nor is it worth it where more than this share of the points would be left.
-MOST_LEFT = 0.6
-# The edge of a cell in radii: points spread evenly over it have a tenth of the variance of a good point at the floor.
-CELL = math.sqrt(12.0 * 0.1 * SIGMA_FLOOR)
-# Merged points differ in variance by less than a factor of two. Points more certain than this keep to themselves (the
-# unit is the variance of a good point): their Gaussians are finer than the cells.
-LEAST_VARIANCE = 0.5
-# A cell's number: its place along three axes, 20 bits each, and the octave of the variance.
-AXIS_BITS, OCTAVES = 20, 16
+# How often the scatter of a cell counts. A uniform one then has a standard deviation of 0.58 edges.
+OVERLAP = 4.0
+# A cell counts for so many points at most; fewer may be one stray point.
+FULL = 4.0
+# The last σ of a dense cloud, in squared edges and times how much more its components vary along their widest axis than
+# all around: surfaces of covariances like those of GICP are then 1.2 edges wide. Below, a LiDAR's rings, which lie
+# farther apart than cells do, would be registered to each other. Others are held apart by the scatter in their cells.
+LAST, LEAST_ELONGATION = 0.0144, 2.5
+# A point that would meet more than so many components meets condensed ones, of which each has this share of its
+# standard deviation for an edge.
+MOST_MET, EDGE = 1500, 1.67
+# Squared Mahalanobis distance to which a pair is looked at: its weight is 2**-24 there.
+REACH = 33.0
+# Octaves of the variance that are told apart, from 2**-FINE_OCTAVES on.
+FINE_OCTAVES = 8
 
 
-def condense(mixture: Mixture) -> Mixture:
-    """The normalised mixture with at most one component a cell and octave of variance; itself where that saves little.
+@dataclass(frozen=True)
+class Cells:
+    """The components that the points of a mixture's cells make.
 
-    A component has the mean of its points, their mean covariance, and the sum of their weights.
+    points (n, 3).   covariances (n, 3, 3) the points' mean.   scatters (n, 3, 3) of the points about their mean.
+    weights (n,).
     """
-    if mixture.on_device or len(mixture) < CONDENSED_FROM:
-        return mixture
-    condensed = mixture.kept_for("condensed", lambda: _condensed(mixture))
-    return mixture if condensed is None else condensed
+
+    points: Array
+    covariances: Array
+    scatters: Array
+    weights: Array
+    dimension: int
+
+    def at(self, sigma: float) -> Mixture:
+        """The mixture with covariances that, times `sigma`, have the scatter in them."""
+        covariances = self.covariances + (OVERLAP / sigma) * self.scatters
+        kept = np.full(len(self.points), True)
+        return Mixture(self.points, covariances, self.weights, self.dimension, isotropic=False, kept=kept)
 
 
-def _condensed(mixture: Mixture) -> Mixture | None:
-    """None where that saves little."""
-    cells = Groups(_cells(mixture), mixture.weights)
-    if len(cells) > MOST_LEFT * len(mixture):
+class Condensed:
+    """A normalised mixture with as many components as a scale asks for.
+
+    last : the least σ that the cells of a dense cloud tell apart, 0 of any other.
+    """
+
+    def __init__(self, mixture: Mixture) -> None:
+        self.whole = mixture
+        self._cells, self.last = mixture.kept_for("even cells", lambda: _even_cells(mixture))
+
+    @property
+    def dense(self) -> bool:
+        return self._cells is not None
+
+    @property
+    def searched(self) -> Mixture:
+        """What stands for the points where ends are compared."""
+        cells = self._cells
+        return self.whole if cells is None else self.whole.kept_for("searched", lambda: cells.at(SIGMA_FLOOR))
+
+    def at(self, begin: float, end: float) -> Mixture:
+        """What stands for the points while σ falls from `begin` to `end`: no more than a point can afford to meet."""
+        finest = self._bare
+        if not self.whole.on_device and self.meets_many(begin):
+            edges = EDGE * np.sqrt(end * _elongation(self.whole) * _octave_variances(finest))
+            coarse = _make_cells(finest, edges, None if self._cells is None else self._cells.scatters)
+            if coarse is not None:
+                return coarse.at(end)
+        return self.whole if self._cells is None else self._cells.at(end)
+
+    def meets_many(self, sigma: float) -> bool:
+        """Whether a point would meet more than MOST_MET components at `sigma`, were they spread over a sphere."""
+        return len(self._bare) * min(1.0, 2.0 * REACH * sigma * self._typical_largest / 4.0) > MOST_MET
+
+    @cached_property
+    def _bare(self) -> Mixture:
+        """The finest components without the scatter of their points."""
+        cells = self._cells
+        if cells is None:
+            return self.whole
+        kept = np.full(len(cells.points), True)
+        isotropic = self.whole.isotropic
+        return Mixture(cells.points, cells.covariances, cells.weights, cells.dimension, isotropic, kept)
+
+    @cached_property
+    def _typical_largest(self) -> float:
+        return float(np.median(self._bare.largest_variances))
+
+
+def _even_cells(mixture: Mixture) -> tuple[Cells | None, float]:
+    """The cells of a dense cloud and the least σ that they tell apart."""
+    if mixture.on_device or len(mixture) < DENSE_FROM:
+        return None, 0.0
+    edge = CELL
+    while (cells := _make_cells(mixture, np.full(len(mixture), edge))) is not None and len(cells.points) < FEWEST:
+        edge *= 0.5
+    if cells is None:
+        return None, 0.0
+    weights = np.minimum(cells.weights, FULL * np.median(mixture.weights))
+    return replace(cells, weights=weights), LAST * edge**2 * max(_elongation(mixture), LEAST_ELONGATION)
+
+
+def _elongation(mixture: Mixture) -> float:
+    """How much more a component varies along its widest axis than all around."""
+    return float(np.median(mixture.largest_variances / mixture.variances))
+
+
+def _octaves(mixture: Mixture) -> NDArray[np.int64]:
+    octaves = np.floor(np.log2(mixture.variances)) + FINE_OCTAVES
+    return np.clip(octaves, 0, MOST_KINDS - 1).astype(np.int64)
+
+
+def _octave_variances(mixture: Mixture) -> Array:
+    """(n,) the least variance of each component's octave."""
+    return np.exp2(_octaves(mixture) - float(FINE_OCTAVES))
+
+
+def _make_cells(mixture: Mixture, edges: Array, scatters: Array | None = None) -> Cells | None:
+    """The cells of edges (n,) that the points lie in, which may have scatters (n, 3, 3) of their own; None where hardly
+    two are in a cell."""
+    groups = Groups(cell_numbers(mixture.points, edges, _octaves(mixture)), mixture.weights)
+    if len(groups) > MOST_LEFT * len(mixture):
         return None
+    points = groups.means(mixture.points)
+    offsets = mixture.points - groups.each(points)
+    between = offsets[:, :, None] * offsets[:, None, :]
+    scatters = groups.means(between if scatters is None else between + scatters)
     if mixture.isotropic:
-        covariances = cells.means(mixture.covariances[:, 0, 0])[:, None, None] * np.eye(3)
+        covariances = groups.means(mixture.covariances[:, 0, 0])[:, None, None] * np.eye(3)
         if mixture.dimension == 2:
             covariances[:, 2, 2] = 1.0
     else:
-        covariances = cells.means(mixture.covariances)
-    points = cells.means(mixture.points)
-    return Mixture(points, covariances, cells.total, mixture.dimension, mixture.isotropic, np.full(len(points), True))
-
-
-def _cells(mixture: Mixture) -> NDArray[np.int64]:
-    """(n,) the number of each point's cell; one of its own for points that keep to themselves."""
-    half = 1 << (AXIS_BITS - 1)
-    places = np.floor(mixture.points / CELL)
-    apart = (np.abs(places) >= half).any(axis=1) | (mixture.variances < LEAST_VARIANCE)
-    octaves = np.clip(np.floor(np.log2(mixture.variances)) + 1.0, 0, OCTAVES - 1).astype(np.int64)
-    places = np.where(apart[:, None], 0.0, places).astype(np.int64) + half
-    cells = octaves
-    for axis in range(3):
-        cells = (cells << AXIS_BITS) | places[:, axis]
-    return np.where(apart, -1 - np.arange(len(mixture)), cells)
+        covariances = groups.means(mixture.covariances)
+    return Cells(points, covariances, scatters, groups.total, mixture.dimension)

@@ -1,7 +1,7 @@
-"""The last level: the end of the search carried to convergence on all points.
+"""The last level: the end of the search carried to convergence, in steps of the scale.
 
-Clouds of up to `Schedule.small` points run in one compiled loop. Dense clouds run condensed first, and on all of their
-points only where σ has come down to what the condensed ones can tell apart, by way of ever larger parts of them.
+Clouds of up to `Schedule.small` points run in one compiled loop. Dense clouds run on their cells, all others on their
+points; while σ is so wide that a point would meet very many others, on coarser ones, see `mixtures.condensing`.
 """
 
 from __future__ import annotations
@@ -9,21 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from adagmm_o3d.em.expectation import (
-    FASTEST,
-    FINEST_SIGMA,
-    LEAST_UNMATCHED,
-    SAMPLED_SIGMA,
-    PosteriorExpectation,
-)
+from adagmm_o3d.em.expectation import FASTEST, LEAST_UNMATCHED, SAMPLED_SIGMA, PosteriorExpectation
 from adagmm_o3d.em.loop import Outcome, expectation_maximisation
 from adagmm_o3d.em.runs import End, Limits, Start, joined, run_starts
 from adagmm_o3d.kernels.update import MOVING, fresh_memory
-from adagmm_o3d.mixtures.condensing import SIGMA_FLOOR, condense
+from adagmm_o3d.mixtures.condensing import SIGMA_FLOOR, Condensed
 from adagmm_o3d.mixtures.mixture import Mixture
-from adagmm_o3d.mixtures.sampling import some_of
 from adagmm_o3d.options import Criteria
 from adagmm_o3d.pairs.cpu_pairs import CUT_BITS
 from adagmm_o3d.pairs.device import make_pair_loop
@@ -35,14 +26,12 @@ from adagmm_o3d.trust.pose_covariance import Fit
 LEVEL = 3
 # Whether steps are extrapolated, see `kernels.cpu.acceleration`: here, where no ends are compared any more.
 ACCELERATED = True
-# σ has come down to the floor of condensed clouds when it is within this factor of it. On all points it then begins at
-# this share of the floor, where few pairs see each other and the pose is long good enough, and falls faster. There it
-# is clear which points belong together, and one posterior of a pair does.
-AT_FLOOR, BELOW_FLOOR, FASTEST_BELOW = 1.2, 0.1, 0.5
-# There a part of the points takes σ down at first: while it is as wide as their spacing all points would meet very many
-# others, and their pairs would grow with the square of their number. Each part has so many times the points of the one
-# before, the first of them no fewer than SAMPLED_FROM; the spacing of a part holds σ up, so the next begins below it.
-DENSER, SAMPLED_FROM, TOO_WIDE = 4, 20_000, 0.5
+# Components are made anew when σ has come down to this share of what it was when they were made, or to within this
+# factor of it.
+STEP, AT_FLOOR = 0.25, 1.2
+# Below SIGMA_FLOOR it is clear which parts of dense clouds belong together: σ falls faster, and one posterior of a pair
+# does.
+FASTEST_BELOW = 0.5
 
 Observe = Callable[[Iteration], None]
 
@@ -60,6 +49,7 @@ class Refined:
 
 def refine(
     levels: Levels,
+    clouds: tuple[Condensed, Condensed],
     end: End,
     criteria: Criteria,
     *,
@@ -68,19 +58,21 @@ def refine(
     relaxation: float,
     observe: Observe | None,
 ) -> Refined:
-    """Carry an end of the search to convergence; its iterations stand before those that follow."""
-    source, target = levels.source, levels.target
+    """Carry an end of the search among `levels` of the `clouds` to convergence; its iterations stand before those that
+    follow."""
+    sides = levels.source, levels.target
     if levels.small and mutuality == 0.0:
         outcome, fit = _refine_compiled(levels, end, criteria, relaxation, observe)
-        return Refined(outcome, fit, make_pair_loop(source, target, device), source, target)
+        return Refined(outcome, fit, make_pair_loop(*sides, device), *sides)
 
     def run(
         sides: tuple[Mixture, Mixture], fit: Fit, most: int, floor: float, fastest: float, mutuality: float
     ) -> Refined:
+        """EM from a fit on two mixtures until pose and σ have settled, σ at `floor` if it would fall further."""
         pairs = make_pair_loop(*sides, device)
         expectation = PosteriorExpectation(
             pairs,
-            source.dimension,
+            levels.source.dimension,
             fit.sigma,
             unmatched=fit.unmatched,
             mutuality=mutuality,
@@ -92,7 +84,7 @@ def refine(
             expectation,
             fit.pose,
             replace(criteria, max_iteration=most),
-            source.dimension,
+            levels.source.dimension,
             relaxation=relaxation,
             level=LEVEL,
             observe=observe,
@@ -100,34 +92,28 @@ def refine(
         ended = Fit(outcome.pose, expectation.scale.target, expectation.unmatched, mutuality)
         return Refined(outcome, ended, pairs, *sides)
 
-    found = Fit(end.pose, end.sigma, end.unmatched, mutuality)
-    condensed = condense(source), condense(target)
-    dense = condensed[0] is not source or condensed[1] is not target
-    refined = run(condensed, found, criteria.max_iteration, SIGMA_FLOOR if dense else SAMPLED_SIGMA, FASTEST, mutuality)
-    iterations = refined.outcome.iterations
-    below = BELOW_FLOOR * SIGMA_FLOOR
-    sharp = refined.outcome.stop_reason is StopReason.CONVERGED and refined.fit.sigma <= AT_FLOOR * SIGMA_FLOOR
-    for sides in _parts(source, target) if dense and sharp else []:
-        left = criteria.max_iteration - len(iterations)
-        if left <= 0:
-            break
-        refined = run(sides, replace(refined.fit, sigma=below), left, FINEST_SIGMA, FASTEST_BELOW, 0.0)
-        below = TOO_WIDE * refined.fit.sigma
+    dense = any(cloud.dense for cloud in clouds)
+    last = max(cloud.last for cloud in clouds) if dense else SAMPLED_SIGMA
+    fit = Fit(end.pose, end.sigma, end.unmatched, mutuality)
+    iterations: tuple[Iteration, ...] = ()
+    while True:
+        below = dense and fit.sigma <= AT_FLOOR * SIGMA_FLOOR
+        floor = last
+        if dense or any(cloud.meets_many(fit.sigma) for cloud in clouds):
+            floor = max(STEP * fit.sigma, last)
+        refined = run(
+            (clouds[0].at(fit.sigma, floor), clouds[1].at(fit.sigma, floor)),
+            fit,
+            criteria.max_iteration - len(iterations),
+            floor,
+            FASTEST_BELOW if below else FASTEST,
+            0.0 if below else mutuality,
+        )
         iterations += refined.outcome.iterations
-    return replace(refined, outcome=replace(refined.outcome, iterations=end.iterations + iterations))
-
-
-def _parts(source: Mixture, target: Mixture) -> list[tuple[Mixture, Mixture]]:
-    """At most so many points of either cloud, DENSER times as many each time, in the end all."""
-    count = max(len(source), len(target))
-    sides = [(source, target)]
-    while (count := count // DENSER) >= SAMPLED_FROM:
-        sides.append((_part(source, count), _part(target, count)))
-    return sides[::-1]
-
-
-def _part(mixture: Mixture, count: int) -> Mixture:
-    return mixture.take(some_of(np.arange(len(mixture)), count))
+        fit = refined.fit
+        done = floor <= last or fit.sigma > AT_FLOOR * floor or len(iterations) >= criteria.max_iteration
+        if done or refined.outcome.stop_reason is not StopReason.CONVERGED:
+            return replace(refined, outcome=replace(refined.outcome, iterations=end.iterations + iterations))
 
 
 def _refine_compiled(

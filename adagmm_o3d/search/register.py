@@ -18,6 +18,7 @@ from adagmm_o3d.em.runs import End, inverse_end, inverse_of
 from adagmm_o3d.em.sigma_rules import Annealed, FigureTwo, NearestDistance, SigmaRule
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.lie import project_to_rotation, se_exp, se_log, split
+from adagmm_o3d.mixtures.condensing import Condensed
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.normalisation import Normalisation, normalise
 from adagmm_o3d.options import INIT_TOLERANCE, Callback, Criteria, TransformationEstimationForAdaptiveGMM
@@ -63,11 +64,13 @@ def register_mixtures(
     ambiguous, assess = False, _unknown
     weigh: Callable[[], float | None] = _none
     if method.sigma_rule == "posterior":
-        levels, seen_from = Levels(moving, fixed, SCHEDULE), normalisation.points_in(*viewpoints)
+        clouds = Condensed(moving), Condensed(fixed)
+        sides = clouds[0].searched, clouds[1].searched
+        levels, seen_from = Levels(*sides, SCHEDULE), normalisation.points_in(*viewpoints)
         turned = comes_second(moving, fixed)
-        searched = Levels(fixed, moving, SCHEDULE) if turned else levels
-        sides = (searched.source, searched.target, searched.sampled(JUDGED))
-        judge = Deferred(lambda: Judge(*sides, seen_from[::-1] if turned else seen_from))
+        searched = Levels(*sides[::-1], SCHEDULE) if turned else levels
+        judged = (searched.source, searched.target, searched.sampled(JUDGED))
+        judge = Deferred(lambda: Judge(*judged, seen_from[::-1] if turned else seen_from))
         identity = normalisation.pose_in(np.eye(4))
         if given is not None and np.allclose(given, identity, rtol=0, atol=1e-9):
             given = None
@@ -90,6 +93,7 @@ def register_mixtures(
         start = best.start
         refined = refine(
             levels,
+            clouds,
             best,
             limits,
             device=device,

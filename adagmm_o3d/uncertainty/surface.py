@@ -5,11 +5,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from adagmm_o3d.arguments import Array, float_array, real_number, unit_vectors, whole_number
 from adagmm_o3d.errors import DegenerateError, InputError
+from adagmm_o3d.grouping import even_cells
 from adagmm_o3d.kernels.limits import EPSILON, KNN, LINE_RATIO
 from adagmm_o3d.neighbors import NeighborIndex
 
 CHUNK = 65536
 """Points whose neighbourhoods are gathered at a time; bounds the memory."""
+
+TINY = float(np.finfo(np.float64).tiny)
+"""Divides what is zero itself."""
 
 
 def estimate_surface_covariances(
@@ -20,6 +24,11 @@ def estimate_surface_covariances(
     Σ = I − (1 − epsilon) n nᵀ with n the normal. Where no normals are given, n is the direction in which the `knn`
     nearest points, the point itself among them, vary least. Where these lie on one line or coincide there is no such
     direction, and Σ = I.
+
+    A dense cloud, of 10 000 points and more, is first thinned to one point in a cell (`grouping.even_cells`), and each
+    point gets the covariance of its cell. The nearest points of a spinning LiDAR's are on its own ring and make a line,
+    whatever the surface; those in other cells do not. There the variance across is that of the neighbours relative to
+    their smaller one along the surface, where that is more than `epsilon`: no surface is thinner than it is rough.
 
     Parameters
     ----------
@@ -49,11 +58,15 @@ def estimate_surface_covariances(
     if thickness > 1.0:
         raise InputError(f"epsilon: expected at most 1, got {thickness:g}; it is the variance across the surface")
     if normals is None:
-        n = _estimate_normals(p, neighbors, np.arange(len(p)))
-    else:
-        n = unit_vectors("normals", normals, ("N", dimension))
-        if len(n) != len(p):
-            raise InputError(f"normals: expected {p.shape} to match the points, got {n.shape}")
+        check_count(*p.shape)
+        cells = even_cells(p)
+        if cells is None:
+            return _plane_covariances(_estimate_planes(p, neighbors, np.arange(len(p)))[0], thickness)
+        n, roughness = _estimate_planes(cells.means(p), neighbors, np.arange(len(cells)))
+        return cells.each(_plane_covariances(n, np.maximum(roughness, thickness)))
+    n = unit_vectors("normals", normals, ("N", dimension))
+    if len(n) != len(p):
+        raise InputError(f"normals: expected {p.shape} to match the points, got {n.shape}")
     return _plane_covariances(n, thickness)
 
 
@@ -86,7 +99,7 @@ def stand_in_covariances(points: Array, normals: Array | None = None, *, epsilon
     n = np.zeros(points.shape)
     n[usable] = normals[usable] / lengths[usable, None]
     if not usable.all() and len(points) > points.shape[1]:
-        n[~usable] = _estimate_normals(points, KNN, np.flatnonzero(~usable))
+        n[~usable] = _estimate_planes(points, KNN, np.flatnonzero(~usable))[0]
     return _plane_covariances(n, epsilon)
 
 
@@ -98,22 +111,28 @@ def check_count(count: int, dimension: int) -> None:
         )
 
 
-def _plane_covariances(normals: Array, thickness: float) -> Array:
-    """(N, D, D) of unit normals (N, D), the identity where one is zero."""
-    return np.eye(normals.shape[1]) - (1.0 - thickness) * (normals[:, :, None] * normals[:, None, :])
+def _plane_covariances(normals: Array, thickness: float | Array) -> Array:
+    """(N, D, D) of unit normals (N, D), the identity where one is zero; a thickness for all or (N,)."""
+    factors = np.sqrt(1.0 - np.asarray(thickness))
+    scaled = normals * (factors if factors.ndim == 0 else factors[:, None])
+    return np.eye(normals.shape[1]) - scaled[:, :, None] * scaled[:, None, :]
 
 
-def _estimate_normals(points: Array, knn: int, chosen: NDArray[np.intp]) -> Array:
-    """Unit normals of the chosen points (K, D), zero where the neighbourhood has none."""
-    check_count(*points.shape)
+def _estimate_planes(points: Array, knn: int, chosen: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Unit normals of the chosen points (K, D), zero where the neighbourhood has none, and its variance along them
+    relative to the smallest along the surface (K,)."""
     index = NeighborIndex(np.ascontiguousarray(points))
-    normals = np.empty((len(chosen), points.shape[1]))
+    normals, roughness = np.empty((len(chosen), points.shape[1])), np.empty(len(chosen))
     for start in range(0, len(chosen), CHUNK):
         chunk = slice(start, start + CHUNK)
         rows, _ = index.query(points[chosen[chunk]], knn)
-        offsets = points[rows] - points[rows].mean(axis=1, keepdims=True)
-        scatter = np.einsum("nki,nkj->nij", offsets, offsets)
+        near = points[rows]
+        offsets = near - near.mean(axis=1, keepdims=True)
+        scatter = offsets.transpose(0, 2, 1) @ offsets
         variances, directions = np.linalg.eigh(scatter)
         has_normal = variances[:, 1] > LINE_RATIO * variances.sum(axis=1)
         normals[chunk] = np.where(has_normal[:, None], directions[:, :, 0], 0.0)
-    return normals
+        roughness[chunk] = np.where(
+            has_normal, np.maximum(variances[:, 0], 0.0) / np.maximum(variances[:, 1], TINY), 1.0
+        )
+    return normals, roughness

@@ -45,7 +45,6 @@ PLANE, TURNED = OppositeSides(2, 0, 0, None), Turned(3, 0.0)
 CASES = {
     "adagmm-without-mutuality": DenseSurface(3000),
     "adagmm-without-condensing": DENSE,
-    "adagmm-without-parts": DenseSurface(80_000),
     "adagmm-without-acceleration": DENSE,
     "adagmm-without-centroids": PLANE,
     "adagmm-without-shifted-starts": PLANE,

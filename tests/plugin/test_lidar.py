@@ -3,12 +3,18 @@
 import math
 
 import numpy as np
+import open3d as o3d
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from lidar_scene import HEIGHT, Lidar, Street, drive, scan_pair
 
-from adagmm_o3d import estimate_lidar_covariances, estimate_surface_covariances, register_points
+from adagmm_o3d import (
+    estimate_lidar_covariances,
+    estimate_surface_covariances,
+    register_points,
+    registration_adaptive_gmm,
+)
 from adagmm_o3d.evaluation import pose_errors
 from adagmm_o3d.lie import se_inverse
 
@@ -108,9 +114,9 @@ def test_normals_are_found_between_rings(n_rings):
     road = (scan.normals[:, 2] > 0.99) & (np.linalg.norm(scan.points, axis=1) < 12.0)
     ours = normal_errors_deg(estimate_lidar_covariances(scan.points), scan.normals)
     assert road.sum() > 5000 and np.median(ours[road]) < 1.0 and np.median(ours) < 2.0
-    if n_rings == 16:
-        # the nearest points are those of one ring
-        assert np.median(normal_errors_deg(estimate_surface_covariances(scan.points), scan.normals)[road]) > 5.0
+    # the nearest points are those of one ring; the nearest cells are not
+    surface = normal_errors_deg(estimate_surface_covariances(scan.points), scan.normals)
+    assert np.median(surface[road]) < 1.0 and np.median(surface) < 2.0
 
 
 @pytest.mark.parametrize(("distance", "angle_deg"), [(0.1, 1.0), (0.5, 2.0), (1.0, 5.0), (2.0, 10.0)])
@@ -120,6 +126,17 @@ def test_rings_are_not_registered_to_each_other(distance, angle_deg):
         covariances = estimate_lidar_covariances(source), estimate_lidar_covariances(target)
         errors = pose_errors(T, register_points(source, target, *covariances).transformation)
         assert errors.rotation_deg < 0.03 and errors.translation < 0.015
+
+
+@pytest.mark.parametrize(("distance", "angle_deg"), [(0.1, 1.0), (0.5, 2.0), (2.0, 10.0)])
+def test_clouds_without_covariances_need_no_sensor_model(distance, angle_deg):
+    for seed in range(2):
+        source, target, T = scan_pair(seed, distance, angle_deg)
+        clouds = [o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points)) for points in (source, target)]
+        result = registration_adaptive_gmm(*clouds, 0.5)
+        errors = pose_errors(T, result.transformation)
+        assert errors.rotation_deg < 0.03 and errors.translation < 0.02
+        assert not result.details.warnings
 
 
 def test_scans_are_of_one_street_and_poses_exact():

@@ -14,7 +14,8 @@ from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.expectation import FINEST_SIGMA
 from adagmm_o3d.em.runs import Start
 from adagmm_o3d.em.unmatched import AREA
-from adagmm_o3d.mixtures.condensing import SIGMA_FLOOR
+from adagmm_o3d.grouping import CELL
+from adagmm_o3d.mixtures.condensing import LEAST_ELONGATION, SIGMA_FLOOR
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.search.schedule import SCHEDULE
 from adagmm_o3d.search.starts import around
@@ -46,7 +47,7 @@ ABLATIONS = {
         "The default with sigma kept from following the residuals below the floor of the deciding level.",
         replacements=(
             Replacement("search.refinement", "SAMPLED_SIGMA", SIGMA_FLOOR),
-            Replacement("search.refinement", "AT_FLOOR", 0.0),
+            Replacement("mixtures.condensing", "LAST", SIGMA_FLOOR / CELL**2 / LEAST_ELONGATION),
         ),
     ),
     "adagmm-finest-sigma-everywhere": Variant(
@@ -69,12 +70,8 @@ ABLATIONS = {
         replacements=(Replacement("search.refinement", "ACCELERATED", False),),
     ),
     "adagmm-without-condensing": Variant(
-        "The default with all points of dense clouds from the first iteration of the refinement on.",
-        replacements=(Replacement("mixtures.condensing", "CONDENSED_FROM", math.inf),),
-    ),
-    "adagmm-without-parts": Variant(
-        "The default with all points of dense clouds at once where the condensed ones have come to their end.",
-        replacements=(Replacement("search.refinement", "SAMPLED_FROM", math.inf),),
+        "The default with all points of dense clouds from the start.",
+        replacements=(Replacement("mixtures.condensing", "DENSE_FROM", math.inf),),
     ),
     "adagmm-without-centroids": Variant("The default, started at the identity only.", {"start": "init"}),
     "adagmm-without-search": Variant(

@@ -16,10 +16,14 @@ from adagmm_o3d.kernels.formulas import build
 
 # Each of these is needed for vector code, and none assumes that there are no NaN or infinities.
 FAST = {"reassoc", "contract", "arcp", "nsz"}
-FLAGS = {"fastmath": FAST, "error_model": "numpy"}
+KERNEL = {"fastmath": FAST, "error_model": "numpy"}
+# Of a function that two kernels call each holds a copy of its own, optimised with what surrounds it. Where a kernel
+# calls its copy by name, the first one that the process has loaded is taken: fast arithmetic then gives other bits in a
+# process that compiles than in one that finds the kernels compiled. So none is called by name.
+FLAGS = {**KERNEL, "forceinline": True}
 # What is too small to be worth vector code keeps the order of its sums: all who call it get the same bits.
 EXACT_FLAGS = {"error_model": "numpy"}
-SERIAL_KERNEL_FLAGS = {"cache": find_a_folder(FunctionCache), "nogil": True, **FLAGS}
+SERIAL_KERNEL_FLAGS = {"cache": find_a_folder(FunctionCache), "nogil": True, **KERNEL}
 EXACT_KERNEL_FLAGS = {key: value for key, value in SERIAL_KERNEL_FLAGS.items() if key != "fastmath"}
 KERNEL_FLAGS = {"parallel": True, **SERIAL_KERNEL_FLAGS}
 F0, F1 = np.float32(0.0), np.float32(1.0)

@@ -1,4 +1,8 @@
-"""The pair loop: formulas once, loops per device, one pass over all pairs behind `PairLoop`."""
+"""All that is compiled: formulas once, loops over pairs for each device, and what EM makes of their sums.
+
+`formulas` and `layout` are shared by `cpu` and `cuda`, whose files of one name are twins; `update` is what both loops
+of EM do between two passes. `pairs` and `em` call these, and nothing here knows of them.
+"""
 
 import warnings
 

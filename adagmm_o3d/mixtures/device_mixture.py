@@ -219,7 +219,7 @@ def device_mixture(name: str, positions: Any, covariances: Any | None, *, surfac
 
 
 def curve_order(table: Any, frame: Frame, bounds: Array, last: NDArray[np.bool_] | None = None) -> NDArray[np.int32]:
-    """(n,) a table's points in the order of a Z-curve, see `kernels.tiles.morton_order`; `bounds` are in the frame."""
+    """(n,) a table's points in the order of `kernels.cpu.tiles.morton_order`; `bounds` are in the frame."""
     extent = float((bounds[1] - bounds[0]).max()) or 1.0
     codes = cuda.device_array(table.shape[1], np.uint32)
     low = tuple(float(x) for x in bounds[0])

@@ -16,6 +16,7 @@ from adagmm_o3d.kernels.cpu.culling import GROUP, TILE
 from adagmm_o3d.kernels.cpu.farthest_points import farthest_points
 from adagmm_o3d.kernels.cpu.nearest_other import nearest_other_sq
 from adagmm_o3d.mixtures.merging import COARSE_BITS, MergedMixture
+from adagmm_o3d.result import StopReason
 
 FREE = {2: [2, 3, 4], 3: [0, 1, 2, 3, 4, 5]}
 # As far as float32 tells; what the search leaves out by itself has a test of its own.
@@ -252,6 +253,25 @@ def test_it_is_settled_when_neither_pose_nor_sigma_move(dimension, isotropic):
     assert not falling.settled and len(falling.iterations) == 3
     (resting,) = p.run(sigma=0.3, fastest=0.995, iterations=3, follow=0.0, limits=never_moving)
     assert resting.settled and len(resting.iterations) == 1
+
+
+@shapes
+def test_clouds_that_do_not_see_each_other_have_no_iteration(dimension, isotropic):
+    p = Problem(dimension, isotropic)
+    p.pose[:-1, -1] = 1e4
+    (end,) = p.run(iterations=5, limits=replace(LIMITS, bits=24.0))
+    assert end.stop_reason is StopReason.NO_OVERLAP and not end.settled and end.iterations == ()
+    np.testing.assert_array_equal(p.plain(end.pose), p.pose)
+
+
+@pytest.mark.parametrize("iterations", [1, 60])
+def test_pairs_that_leave_the_pose_undetermined_are_said_to(iterations):
+    # Two points leave the turn about their line free.
+    p = Problem(3, True, sizes=(2, 2))
+    (end,) = p.run(iterations=iterations, limits=replace(LIMITS, relative_rmse=1e-3))
+    assert end.stop_reason is StopReason.DEGENERATE and np.isfinite(end.pose).all()
+    (end,) = Problem(3, True).run(iterations=iterations, limits=replace(LIMITS, relative_rmse=1e-3))
+    assert end.stop_reason is (StopReason.MAX_ITERATION if iterations == 1 else StopReason.CONVERGED)
 
 
 @shapes

@@ -1,6 +1,7 @@
 """Arrows only go down: which room imports which, read from the source without running it; see CONTRIBUTING.md."""
 
 import ast
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -120,3 +121,23 @@ def test_only_the_command_line_imports_commands():
         if any(whole.startswith("adagmm_fusion.commands") for whole in imports(path))
     }
     assert importing == {"cli", "commands"}
+
+
+def test_places_that_docstrings_name_are_there():
+    """`kernels.cpu.tiles.morton_order` is a name in a module; of what only looks like a place nothing is asked."""
+    package = ROOT / "adagmm_o3d"
+    rooms = {path.name for path in package.iterdir() if path.is_dir()}
+    missing = []
+    for name, path in modules(package):
+        for place in re.findall(r"`([a-z_]+(?:\.\w+)+)`", path.read_text(encoding="utf-8")):
+            parts = place.split(".")
+            if parts[0] not in rooms:
+                continue
+            for k in range(len(parts), 0, -1):
+                file = package.joinpath(*parts[:k])
+                if file.is_dir() or file.with_suffix(".py").is_file():
+                    break
+            rest, source = parts[k:], file / "__init__.py" if file.is_dir() else file.with_suffix(".py")
+            if rest and not (source.is_file() and re.search(rf"\b{rest[0]}\b", source.read_text(encoding="utf-8"))):
+                missing.append(f"{name} names {place}")
+    assert missing == []

@@ -52,7 +52,7 @@ class RunLimits(NamedTuple):
     dimension : 2 or 3.   floor, least_unmatched, most_unmatched, accelerated : see `update.Rule`.   relative_rmse,
     relaxation : see `update.m_step`; a start is done when its step is short and σ has settled.   bits : how far a
     weight may fall before its pair is left out.   compared_at : the σ whose density of points without a partner the
-    likelihoods have in common; 0 for each end's own.
+    likelihoods have in common.
     """
 
     dimension: int
@@ -152,8 +152,7 @@ def run_start(pose, start, source, target, isotropic, world, limits, memory, end
             state = SETTLED
         iteration += 1
     # The densities are relative to those of points without a partner, of which each end has its own share.
-    compared = limits.compared_at if limits.compared_at > 0.0 else sigma
-    uniform = density_without_partner_compiled(world, compared, unmatched)
+    uniform = density_without_partner_compiled(world, limits.compared_at, unmatched)
     likelihood = 2.0 * math.log(unmatched)
     weights, packed = source[3], target[0]
     for i in range(m):

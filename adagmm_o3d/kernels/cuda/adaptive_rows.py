@@ -1,4 +1,4 @@
-"""The paper's E-step on the GPU: the sums of every source point over the target, as in `kernels.adaptive_sums`."""
+"""The paper's E-step on the GPU: the sums of every source point over the target, as in `kernels.cpu.adaptive_rows`."""
 
 import math
 

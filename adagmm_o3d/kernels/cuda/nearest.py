@@ -1,4 +1,4 @@
-"""Distance from each source point to its nearest target point on the GPU, as in `kernels.nearest`."""
+"""Distance from each source point to its nearest target point on the GPU, as in `kernels.cpu.nearest`."""
 
 import numpy as np
 from numba import float32, int32

@@ -9,7 +9,7 @@ from adagmm_o3d.kernels.formulas import LOG2_SCALE
 
 adjugate, dot = exact_formulas.adjugate, exact_formulas.dot
 
-# The highest number of a cell along an axis, ten bits; see `kernels.tiles.morton_order`.
+# The highest number of a cell along an axis, ten bits; see `kernels.cpu.tiles.morton_order`.
 LAST_CELL = 1023
 
 

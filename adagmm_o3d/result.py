@@ -43,9 +43,10 @@ class Iteration(NamedTuple):
 
 # With a smaller share of partners than this, anything might fit.
 LEAST_OVERLAP = 0.1
-# Measured evidence: chance fits of unrelated rooms and models up to 0.95, right poses of rooms from 1.1 for nine in
-# ten.
-LEAST_EVIDENCE = 0.9
+# Less evidence than this has no right pose of clouds that share two fifths or more, and most chance fits of rooms.
+LEAST_EVIDENCE = 0.25
+# A pose that is as probably wrong as right, from what is seen of it alone, is not to be trusted.
+LEAST_BELIEF = 0.5
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,25 @@ class PoseUncertainty:
 
     covariance: Array | None
     unobservable: tuple[Array, ...]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What speaks for a pose; None of what so few points cannot tell.
+
+    evidence : see `PointRegistrationResult.evidence`.   share, relative : of the points of both clouds, those that lie
+    on the other's surface; and of those near it, in units of that share between the halves of one cloud.   margin : by
+    how much the pose explains the clouds better than half a turn from there [nats per point]; infinity where that is
+    the same.   scale : factor by which the source would have to be scaled, where its size is clearly another one, else
+    None.   belief : the probability that the pose is right.
+    """
+
+    evidence: float
+    share: float | None = None
+    relative: float | None = None
+    margin: float | None = None
+    scale: float | None = None
+    belief: float | None = None
 
 
 class Deferred(Generic[Answer]):
@@ -111,7 +131,8 @@ class PointRegistrationResult:
     find_partners, assess, weigh : what the final pose says of the points, its uncertainty, and how well it explains the
         clouds. They cost about as much as one iteration on all points and as some, so they run when something of theirs
         is first asked for: the first for `overlap` and `row_weights`, the second for `pose_covariance` and
-        `unobservable`, the third for `evidence`, all for `warnings`. Until then the clouds are kept for them.
+        `unobservable`, the third for `evidence`, `belief` and `scale`, all for `warnings`. Until then the clouds are
+        kept for them.
     """
 
     transformation: Array
@@ -128,7 +149,7 @@ class PointRegistrationResult:
     doubts: tuple[str, ...]
     find_partners: Deferred[Partners]
     assess: Deferred[PoseUncertainty]
-    weigh: Deferred[float | None]
+    weigh: Deferred[Verdict | None]
 
     @property
     def overlap(self) -> float:
@@ -162,7 +183,23 @@ class PointRegistrationResult:
         """Mean log-likelihood of the points at the final pose, both clouds together, beyond that of having no partner
         at all [nats per point], at a scale four times the finest at which the clouds know their own shape. Below
         LEAST_EVIDENCE a chance fit does as well. None for the paper's own rules and where no pair has any weight."""
-        return self.weigh()
+        verdict = self.weigh()
+        return None if verdict is None else verdict.evidence
+
+    @property
+    def belief(self) -> float | None:
+        """The probability that the pose is right, where as many are wrong: from how far the surfaces agree where they
+        meet, how much of them does, and whether half a turn does as well; see the module `trust.verdict`. None where
+        `evidence` is, and for clouds of less than thirty points."""
+        verdict = self.weigh()
+        return None if verdict is None else verdict.belief
+
+    @property
+    def scale(self) -> float | None:
+        """The factor by which the source would have to be scaled to fit the target, where their sizes clearly differ;
+        the pose is rigid all the same. None where they do not, or where the clouds share too little to tell."""
+        verdict = self.weigh()
+        return None if verdict is None else verdict.scale
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -170,8 +207,8 @@ class PointRegistrationResult:
         reasons = list(self.doubts)
         if self.overlap < LEAST_OVERLAP:
             reasons.append(f"the estimated overlap is only {self.overlap:.0%}")
-        if self.evidence is not None and self.evidence < LEAST_EVIDENCE:
-            reasons.append("the clouds explain each other no better than a chance fit would")
+        if (verdict := self.weigh()) is not None:
+            reasons += _objections(verdict)
         if free := len(self.unobservable):
             reasons.append(f"the shape leaves {free} direction{'s' if free > 1 else ''} of the pose free")
         return tuple(reasons)
@@ -190,3 +227,18 @@ class PointRegistrationResult:
     def sigma(self) -> float:
         """The final scale of the mixtures; σ·Σ is a covariance in input units². 0 if there was no iteration."""
         return float(self.sigmas[-1]) if self.iterations else 0.0
+
+
+def _objections(verdict: Verdict) -> list[str]:
+    reasons = []
+    if verdict.evidence < LEAST_EVIDENCE:
+        reasons.append("the clouds explain each other no better than a chance fit would")
+    elif verdict.margin is not None and verdict.margin < 0.0:
+        reasons.append("half a turn from here the clouds fit better: a nearly symmetric shape")
+    elif verdict.belief is not None and verdict.belief < LEAST_BELIEF:
+        reasons.append(f"where the clouds meet they agree too little: right with a probability of {verdict.belief:.0%}")
+    if verdict.scale is not None:
+        reasons.append(
+            f"the clouds are of different sizes: the source fits if it is scaled by {verdict.scale:.3f} before"
+        )
+    return reasons

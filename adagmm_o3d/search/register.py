@@ -23,13 +23,15 @@ from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.normalisation import Normalisation, normalise
 from adagmm_o3d.options import INIT_TOLERANCE, Callback, Criteria, TransformationEstimationForAdaptiveGMM
 from adagmm_o3d.pairs.device import make_pair_loop
-from adagmm_o3d.result import Deferred, Iteration, PointRegistrationResult, PoseUncertainty, StopReason
+from adagmm_o3d.result import Deferred, Iteration, PointRegistrationResult, PoseUncertainty, StopReason, Verdict
 from adagmm_o3d.search.find import find
 from adagmm_o3d.search.levels import Levels
 from adagmm_o3d.search.refinement import refine
 from adagmm_o3d.search.schedule import SCHEDULE
-from adagmm_o3d.trust.conclusion import conclude, lower, no_partners, partners_of
+from adagmm_o3d.trust import verdict
+from adagmm_o3d.trust.conclusion import conclude, lower
 from adagmm_o3d.trust.judge import JUDGED, Judge
+from adagmm_o3d.trust.partners import no_partners, partners_at
 from adagmm_o3d.trust.pose_covariance import uncertainty_out
 
 # No more than a third of `max_iteration` is reported of the search.
@@ -60,9 +62,9 @@ def register_mixtures(
     everywhere = isinstance(init, str)
     given = None if init is None or everywhere else _start_pose(init, normalisation, dimension)
     if limits.max_iteration == 0:
-        return _stay(moving, fixed, init, given, normalisation, device)
+        return _stay(moving, fixed, init, given, normalisation)
     ambiguous, assess = False, _unknown
-    weigh: Callable[[], float | None] = _none
+    weigh: Callable[[], Verdict | None] = _none
     if method.sigma_rule == "posterior":
         clouds = Condensed(moving), Condensed(fixed)
         sides = clouds[0].searched, clouds[1].searched
@@ -101,13 +103,10 @@ def register_mixtures(
             relaxation=method.relaxation,
             observe=observe,
         )
-        outcome, pairs = refined.outcome, refined.pairs
+        outcome = refined.outcome
         if outcome.stop_reason is not StopReason.NO_OVERLAP:
-            assess = partial(uncertainty_out, pairs, refined.source, refined.target, refined.fit, normalisation)
-            weigh = partial(_confidence, judge, inverse_of(outcome.pose) if turned else outcome.pose)
-        if refined.source is not moving:
-            # What is said of each point is said of all of them.
-            pairs = make_pair_loop(moving, refined.target, device)
+            assess = partial(uncertainty_out, refined.pairs, refined.source, refined.target, refined.fit, normalisation)
+            weigh = partial(_weigh, judge, inverse_of(outcome.pose) if turned else outcome.pose, turned)
     else:
         if everywhere:
             raise InputError(f"init: 'global' needs sigma_rule 'posterior', got {method.sigma_rule!r}")
@@ -121,7 +120,7 @@ def register_mixtures(
         )
     find_partners = partial(no_partners, moving)
     if outcome.stop_reason is not StopReason.NO_OVERLAP:
-        find_partners = partial(partners_of, pairs, moving, fixed, outcome.pose, outcome.iterations[-1].sigma)
+        find_partners = partial(partners_at, moving, fixed, outcome.pose)
     return conclude(
         start,
         outcome,
@@ -135,8 +134,8 @@ def register_mixtures(
     )
 
 
-def _confidence(judge: Deferred[Judge], pose: Array) -> float:
-    return judge().confidence(pose)
+def _weigh(judge: Deferred[Judge], pose: Array, turned: bool) -> Verdict:
+    return verdict.weigh(judge(), pose, turned=turned)
 
 
 def _none() -> None:
@@ -174,14 +173,12 @@ def _stay(
     init: ArrayLike | str | None,
     given: Array | None,
     normalisation: Normalisation,
-    device: str,
 ) -> PointRegistrationResult:
     """The start, to the last bit, as the result of no iteration."""
     if isinstance(init, str):
         raise InputError("criteria.max_iteration: expected at least 1 as init='global' names no pose, got 0")
     dimension = moving.dimension
     pose = normalisation.pose_in(np.eye(4)) if given is None else given
-    pairs = make_pair_loop(moving, fixed, device)
     result = conclude(
         pose,
         Outcome(pose, (), StopReason.MAX_ITERATION),
@@ -189,7 +186,7 @@ def _stay(
         moving,
         fixed,
         ambiguous=False,
-        find_partners=partial(partners_of, pairs, moving, fixed, pose, 0.0),
+        find_partners=partial(partners_at, moving, fixed, pose),
         assess=_unknown,
         weigh=_none,
     )

@@ -8,22 +8,10 @@ import numpy as np
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.loop import Outcome
-from adagmm_o3d.em.unmatched import uniform_density
-from adagmm_o3d.mixtures.condensing import SIGMA_FLOOR
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.normalisation import Normalisation
-from adagmm_o3d.mixtures.sampling import quantile, some_of
-from adagmm_o3d.mixtures.spacing import spacing_of_whole
-from adagmm_o3d.pairs.protocol import Pairs
-from adagmm_o3d.result import Deferred, Partners, PointRegistrationResult, PoseUncertainty, StopReason
+from adagmm_o3d.result import Deferred, Partners, PointRegistrationResult, PoseUncertainty, StopReason, Verdict
 
-# The share of points without a partner that is taken for granted when a point is asked whether it has one.
-JUDGED_UNMATCHED = 0.1
-# The mixtures of points that are asked for a partner are as wide as so many distances between neighbours, which along a
-# curve differ more than on a surface.
-REACH = {2: 1.5, 3: 1.0}
-# How many are asked how wide they are.
-WIDTHS = 1000
 # Residuals of this variance (a standard deviation of a tenth of the radius) are heavy noise or a wrong pose.
 LARGEST_SIGMA = 0.01
 
@@ -38,7 +26,7 @@ def conclude(
     ambiguous: bool,
     find_partners: Callable[[], Partners],
     assess: Callable[[], PoseUncertainty],
-    weigh: Callable[[], float | None],
+    weigh: Callable[[], Verdict | None],
 ) -> PointRegistrationResult:
     """The result of normalised mixtures in input units."""
     poses = np.array([start, *(i.pose for i in outcome.iterations)])
@@ -60,24 +48,6 @@ def conclude(
         assess=Deferred(assess),
         weigh=Deferred(weigh),
     )
-
-
-def partners_of(pairs: Pairs, source: Mixture, target: Mixture, pose: Array, sigma: float) -> Partners:
-    """What a pose between normalised mixtures, whose `pairs` they are, says of every input point of the source."""
-    # Where the mixtures are narrower than the target's spacing, a point between its samples would seem to have no
-    # partner.
-    some = target.take(some_of(np.arange(len(target)), WIDTHS))
-    widest = float(quantile(some.largest_variances, 0.5))
-    sigma = max(sigma, SIGMA_FLOOR, (REACH[target.dimension] * spacing_of_whole(target)) ** 2 / widest)
-    posterior = pairs.posterior_sums(pose, sigma, uniform_density(JUDGED_UNMATCHED, sigma, source.dimension))
-    row_weights = np.zeros(len(source.kept))
-    row_weights[source.kept] = posterior.row_weights
-    return Partners(float(posterior.overlap), row_weights)
-
-
-def no_partners(source: Mixture) -> Partners:
-    """Of a pose that no pair speaks for."""
-    return Partners(0.0, np.zeros(len(source.kept)))
 
 
 def _doubts(outcome: Outcome, ambiguous: bool) -> tuple[str, ...]:

@@ -58,7 +58,7 @@ class Judge:
         sides: tuple[MergedMixture, MergedMixture],
         viewpoints: tuple[Array | None, Array | None] = (None, None),
     ) -> None:
-        self._sides = _distinct(sides[0]), _distinct(sides[1])
+        self.sides = _distinct(sides[0]), _distinct(sides[1])
         self.sigma, self.reference, coarsened = self._finest_scale()
         # Whether the points' own spacing, or nearly, is the scale: where noise hides it, no shape can be recognised.
         self.sharp = coarsened <= SHARP and self.reference >= KNOWN_SHAPE
@@ -77,7 +77,7 @@ class Judge:
         Above 0 it is likelier that the clouds overlap as the pose says than that they do not overlap.
         """
         evidence = np.max(
-            [_evidence(self._sides, poses, self.sigma, share, unmatched) for share, unmatched in SUITED], axis=0
+            [_evidence(self.sides, poses, self.sigma, share, unmatched) for share, unmatched in SUITED], axis=0
         )
         for k, pose in enumerate(poses):
             evidence[k] -= VIOLATION * self._violations(pose)
@@ -85,7 +85,7 @@ class Judge:
 
     def confidence(self, pose: Array) -> float:
         """The same of one pose, at a scale so many times coarser that a small bias of a sensor does not matter."""
-        return float(_evidence(self._sides, [pose], self.sigma * LENIENT)[0]) - VIOLATION * self._violations(pose)
+        return float(_evidence(self.sides, [pose], self.sigma * LENIENT)[0]) - VIOLATION * self._violations(pose)
 
     def _violations(self, pose: Array) -> float:
         share = 0.0
@@ -96,10 +96,10 @@ class Judge:
 
     def _finest_scale(self) -> tuple[float, float, int]:
         """The finest σ at which the halves of both clouds explain each other, and how well they do."""
-        reach = max(spacing_of(side.points) for side in self._sides)
-        widest = max(float(quantile(side.largest_variances, 0.5)) for side in self._sides)
+        reach = max(spacing_of(side.points) for side in self.sides)
+        widest = max(float(quantile(side.largest_variances, 0.5)) for side in self.sides)
         sigma = (FINEST * reach) ** 2 / widest
-        halves = [(side.take(slice(0, None, 2)), side.take(slice(1, None, 2))) for side in self._sides]
+        halves = [(side.take(slice(0, None, 2)), side.take(slice(1, None, 2))) for side in self.sides]
         for coarsened in itertools.count():
             known = min(float(_evidence(pair, [np.eye(4)], sigma)[0]) for pair in halves)
             if known >= KNOWN_SHAPE or sigma * COARSER > COARSEST:

@@ -21,17 +21,16 @@ from adagmm_o3d.mixtures.merging import FLAGGED
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.sampling import some_of
 from adagmm_o3d.neighbors import NeighborIndex
+from adagmm_o3d.trust.normals import normals_of
 
 # Clouds are thinned to this many points, so that neighbours are further apart than the noise.
 THINNED = {2: 300, 3: 1000}
 NEIGHBORS = 20
 # A direction is free when the surfaces hold less than this share of what they would if every point were held in every
-# direction. Measured: planes, spheres, cylinders, tubes, circles of 300 to 3000 points, noise up to 0.03 radii, below
-# 0.015; cubes, polygons and irregular bodies above 0.04.
-FREE_SHARE = 0.02
-# Of clean surfaces less than that is real: what noise of the normals feigns is so many times its variance, and at least
-# this.
-NOISE_SHARES, LEAST_FREE_SHARE = 3.0, 0.003
+# direction: the edges of a corridor feign so much along it. A room of which the ends are in view holds its pose by a
+# hundredth, and well enough. Of what two normals of one point differ by, a part is feigned as well; cubes, polygons and
+# irregular bodies are held by more than the largest share.
+FREE_SHARE, NOISE_SHARE, LARGEST_FREE_SHARE = 0.004, {2: 0.5, 3: 0.2}, {2: 0.03, 3: 0.02}
 # Of nothing, a matrix by which another is divided has this share of its trace: far below what float64 sums can mean.
 NOTHING = 1e-12
 
@@ -53,31 +52,35 @@ def free_directions(source: Mixture, pose: Array, matched: Array) -> tuple[Array
     index = some_of(np.flatnonzero((source.variances <= FLAGGED) & np.isfinite(matched)), THINNED[dimension])
     points = source.points_at(index) @ pose[:3, :3].T + pose[:3, 3]
     weights = matched[index]
-    normals, spread_sq = _normals(points, dimension)
-    along_normals = np.concatenate([np.cross(points, normals), normals], axis=1)
-    held = np.einsum("n,nk,nl->kl", weights, along_normals, along_normals)
+    normals = _two_normals(points, dimension)
+    first, second = (_along(points, of) for of in normals)
+    # Their noise is independent, so that what it feigns to hold averages to nothing.
+    held = np.einsum("n,nk,nl->kl", weights, first, second)
+    held = 0.5 * (held + held.T)
     everywhere = np.zeros((6, 6))
     for axis in np.eye(3)[:dimension]:
-        along_axis = np.concatenate([np.cross(points, axis), np.broadcast_to(axis, points.shape)], axis=1)
+        along_axis = _along(points, np.broadcast_to(axis, points.shape))
         everywhere += np.einsum("n,nk,nl->kl", weights, along_axis, along_axis)
     free = np.ix_(FREE[dimension], FREE[dimension])
     shares, motions = generalised_eigen(held[free], everywhere[free])
-    noise = float((weights * spread_sq).sum() / max(weights.sum(), 1e-12))
-    free_share = min(max(NOISE_SHARES * noise, LEAST_FREE_SHARE), FREE_SHARE)
+    noise = float(np.median(1.0 - np.minimum((normals[0] * normals[1]).sum(axis=1) ** 2, 1.0)))
+    free_share = min(max(NOISE_SHARE[dimension] * noise, FREE_SHARE), LARGEST_FREE_SHARE[dimension])
     directions, _ = np.linalg.qr(motions[:, shares < free_share])
     return tuple(directions.T)
 
 
-def _normals(points: Array, dimension: int) -> tuple[Array, Array]:
-    """(n, 3) unit normals of the surface (in 2D the curve) through each point and its neighbours, and (n,) how far off
-    they are [rad²], by the scatter across the surface beside that along it."""
+def _two_normals(points: Array, dimension: int) -> tuple[Array, Array]:
+    """(n, 3) unit normals of the surface (in 2D the curve) at each point, twice, from neighbours of which none is in
+    both; the second has the first's sign."""
     flat = np.ascontiguousarray(points[:, :dimension])
-    neighbors = flat[NeighborIndex(flat).query(flat, NEIGHBORS)[0]]
-    offsets = neighbors - neighbors.mean(axis=1, keepdims=True)
-    normals = np.zeros((len(points), 3))
-    variances, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))
-    normals[:, :dimension] = axes[:, :, 0]
-    return normals, variances[:, 0] / (np.maximum(variances[:, 1], 1e-300) * neighbors.shape[1])
+    near = NeighborIndex(flat).query(flat, NEIGHBORS + 1)[0][:, 1:]
+    first, second = (normals_of(flat[near[:, part::2]], dimension)[1] for part in (0, 1))
+    return first, second * np.where((first * second).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
+
+
+def _along(points: Array, axes: Array) -> Array:
+    """(n, 6) how far a unit of each motion takes (n, 3) points along (n, 3) axes."""
+    return np.concatenate([np.cross(points, axes), axes], axis=1)
 
 
 def generalised_eigen(a: Array, b: Array) -> tuple[Array, Array]:

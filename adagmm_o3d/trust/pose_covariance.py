@@ -41,6 +41,7 @@ from adagmm_o3d.mixtures.normalisation import Normalisation
 from adagmm_o3d.mixtures.sampling import some_of
 from adagmm_o3d.pairs.protocol import Pairs
 from adagmm_o3d.result import PoseUncertainty
+from adagmm_o3d.trust.copies import are_copies
 from adagmm_o3d.trust.observability import free_directions, generalised_eigen
 
 # Of larger clouds that many points' scores are looked at, and their sums stand for those of all.
@@ -77,7 +78,9 @@ def pose_uncertainty(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -
     scores = score_moments(pairs, source, target, fit)
     if not np.trace(scores.curvature) > 0.0:
         return PoseUncertainty(None, tuple(np.eye(len(scores.curvature))))
-    free = np.array(free_directions(source, fit.pose, scores.matched)).reshape(-1, len(scores.curvature))
+    copies = are_copies(source, target, fit.pose)
+    free = np.array(() if copies else free_directions(source, fit.pose, scores.matched))
+    free = free.reshape(-1, len(scores.curvature))
     held = _complement(free)
     # what the curvature does not hold is free as well
     curvature = _held(scores.curvature, scores.hessian)
@@ -165,12 +168,23 @@ def score_moments(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -> S
             curvature += growth * rows[:, CURVATURE:].sum(axis=0).reshape(6, 6)
         points, block = score.T @ score, _block_sums(part.points, score)
         by_points += 0.5 * growth * points
-        # of the products between two points of a block a share of 1/growth² was seen
-        by_blocks += 0.5 * (growth * points + growth**2 * (block.T @ block - points))
+        # Of the products between two points of a block a share of 1/growth² was seen.
+        between = block.T @ block - points
+        if growth > 1.0:
+            between = _positive_part(between, points)
+        by_blocks += 0.5 * (growth * points + growth**2 * between)
     free = np.ix_(FREE[source.dimension], FREE[source.dimension])
     left = sums.gradient[FREE[source.dimension]]
     curvature = 0.5 * (curvature + curvature.T)[free]
     return ScoreMoments(curvature, sums.hessian[free], by_points[free], by_blocks[free], left, sums.row_weights)
+
+
+def _positive_part(between: Array, points: Array) -> Array:
+    """Sums of products between points without what is negative in units of those of points: multiplied by how many
+    points each seen one stands for, it would outgrow them, and no variance is negative."""
+    growth, motions = generalised_eigen(between, points)
+    outward = points @ motions
+    return outward @ (np.maximum(growth, 0.0)[:, None] * outward.T)
 
 
 def _held(curvature: Array, hessian: Array) -> Array:

@@ -10,7 +10,7 @@ from adagmm_fusion.clouds.building import cloud_from_frame
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame, RGBDPair
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh
 from adagmm_fusion.pairs.fusion import fused_mesh
-from adagmm_o3d.result import Deferred, Partners, PointRegistrationResult, PoseUncertainty, StopReason
+from adagmm_o3d.result import Deferred, Partners, PointRegistrationResult, PoseUncertainty, StopReason, Verdict
 
 ITERATIONS = 12
 INTRINSICS = PinholeIntrinsics(160, 120, 140.0, 140.0, 79.5, 59.5)
@@ -63,7 +63,7 @@ def known_estimate(
         doubts=(),
         find_partners=Deferred(lambda: Partners(0.7, np.linspace(0.0, 1.0, len(source.points)))),
         assess=Deferred(lambda: PoseUncertainty(None, unobservable)),
-        weigh=Deferred(lambda: 2.0),
+        weigh=Deferred(lambda: Verdict(2.0)),
     )
 
 

@@ -1,0 +1,83 @@
+"""Whether two surfaces say the same where they meet: near the other cloud, a point should lie on its surface.
+
+A right pose of two clouds that share a part brings most of what comes near the other cloud onto it, facing the same
+way; a chance fit lies through it. How much that can be expected to be, of these samples and their noise, one half of a
+cloud says of the other half.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adagmm_o3d.arguments import Array
+from adagmm_o3d.lie import se_inverse
+from adagmm_o3d.mixtures.spacing import spacing_of
+from adagmm_o3d.neighbors import NeighborIndex
+from adagmm_o3d.trust.normals import surface_normals
+
+# Neighbours that a point's normal comes from.
+NEIGHBORS = {2: 6, 3: 16}
+# So many spacings of the points from the other cloud a point is near it, and so far from its surface it is on it.
+NEAR, ON = 3.0, 0.5
+# Normals are the same up to this cosine; where the scatter across the surface is more than this share of that along it,
+# as with noise or in a tangle, there is no surface to face the same way.
+SAME_WAY, FLAT = 0.85, 0.1
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """share : of the points of both clouds, those on the other's surface.   relative : of those near it, in units of
+    the same share between the halves of a cloud."""
+
+    share: float
+    relative: float
+
+
+class Surface:
+    """(n, 3) points of one cloud with their normals, looked at from the other's."""
+
+    def __init__(self, points: Array, dimension: int) -> None:
+        self.points = np.ascontiguousarray(points)
+        self._dimension = dimension
+        self.normals, scatter = surface_normals(self.points, dimension, NEIGHBORS[dimension])
+        self.flat = scatter < FLAT
+        self.spacing = spacing_of(self.points)
+        self.index = NeighborIndex(self.points)
+
+    def halves(self) -> tuple[Surface, Surface]:
+        """Every other point, and the rest."""
+        return Surface(self.points[::2], self._dimension), Surface(self.points[1::2], self._dimension)
+
+
+def agreement(source: Surface, target: Surface, pose: Array) -> Agreement:
+    """How far two surfaces agree at a pose (4, 4)."""
+    near, on = _near_and_on(source, target, pose)
+    expected = min(_share_of(*_near_and_on(*surface.halves(), np.eye(4))) for surface in (source, target))
+    return Agreement(float(on.mean()), _share_of(near, on) / max(expected, 1e-9))
+
+
+def _share_of(near: Mask, on: Mask) -> float:
+    return float(on.sum() / max(1, near.sum()))
+
+
+def _near_and_on(source: Surface, target: Surface, pose: Array) -> tuple[Mask, Mask]:
+    """Of each point of both clouds, whether it is near the other one, and whether it is on its surface."""
+    spacing = max(source.spacing, target.spacing)
+    sides = [_seen_from(source, target, pose, spacing), _seen_from(target, source, se_inverse(pose), spacing)]
+    near, on = (np.concatenate(part) for part in zip(*sides, strict=True))
+    return near, on
+
+
+def _seen_from(own: Surface, other: Surface, pose: Array, spacing: float) -> tuple[Mask, Mask]:
+    moved, normals = own.points @ pose[:3, :3].T + pose[:3, 3], own.normals @ pose[:3, :3].T
+    indices, squares = other.index.query(moved)
+    nearest, near = indices[:, 0], squares[:, 0] < (NEAR * spacing) ** 2
+    off = np.abs(np.einsum("ni,ni->n", moved - other.points[nearest], other.normals[nearest]))
+    same_way = np.abs(np.einsum("ni,ni->n", normals, other.normals[nearest])) > SAME_WAY
+    same_way |= ~(own.flat & other.flat[nearest])
+    return near, near & (off < ON * spacing) & same_way

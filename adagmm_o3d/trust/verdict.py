@@ -1,0 +1,61 @@
+"""Whether to believe the pose that was found, from the few things that tell right ones from wrong ones.
+
+A wrong pose may be found with as large an overlap as the right one, and explain the clouds as well as a right pose of
+clouds that share less. What sets them apart: where the clouds come near each other, their surfaces agree as far as the
+halves of one cloud do (`agreement`), that holds for enough of them, and no other pose does as well (`rivals`). These
+go together into one logistic regression, with a weight for each, of outcomes for which the truth is known; a right and
+a wrong outcome count as equally likely beforehand, so that a belief of a half is where in doubt one warns.
+
+The weights are those of `adagmm-bench belief`, which fits them again.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from adagmm_o3d.arguments import Array
+from adagmm_o3d.result import Verdict
+from adagmm_o3d.trust.agreement import Surface, agreement
+from adagmm_o3d.trust.judge import Judge
+from adagmm_o3d.trust.rivals import half_turned
+from adagmm_o3d.trust.scale import estimate_scale
+
+# So few points are no surface.
+LEAST_POINTS = 30
+# The margin of a rival counts within these bounds, and shares from this one up.
+MARGINS, LEAST = (-0.5, 1.0), 0.05
+# Of the signs in their order, and the constant.
+WEIGHTS, CONSTANT = (5.2, 1.4, 4.9), -0.5
+
+
+def weigh(judge: Judge, pose: Array, *, turned: bool) -> Verdict:
+    """What speaks for a pose (4, 4) between the judge's normalised mixtures; `turned` says that their places are
+    changed."""
+    evidence, sides = judge.confidence(pose), judge.sides
+    if min(len(side.points) for side in sides) < LEAST_POINTS:
+        return Verdict(evidence)
+    source, target = (Surface(side.points, side.dimension) for side in sides)
+    agreed = agreement(source, target, pose)
+    own, *rivals = judge.evidence([pose, *half_turned(sides, pose)]).tolist()
+    margin = own - max(rivals, default=-math.inf)
+    verdict = Verdict(evidence, share=agreed.share, relative=agreed.relative, margin=margin)
+    scale = estimate_scale(source, target, pose, sides[0].dimension)
+    if scale is not None and scale.differs:
+        verdict = replace(verdict, scale=1.0 / scale.factor if turned else scale.factor)
+    return replace(verdict, belief=believe(signs(verdict)))
+
+
+def signs(verdict: Verdict) -> Array:
+    """(3,) what the regression goes by: the logarithms of relative agreement and of agreeing shares, and the margin."""
+    assert verdict.relative is not None and verdict.share is not None and verdict.margin is not None
+    return np.array(
+        [math.log(max(verdict.relative, LEAST)), math.log(max(verdict.share, LEAST)), np.clip(verdict.margin, *MARGINS)]
+    )
+
+
+def believe(signs: Array) -> float:
+    """The probability that a pose with these signs is right."""
+    return 1.0 / (1.0 + math.exp(-(float(signs @ WEIGHTS) + CONSTANT)))

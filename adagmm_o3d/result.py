@@ -47,6 +47,8 @@ LEAST_OVERLAP = 0.1
 LEAST_EVIDENCE = 0.25
 # A pose that is as probably wrong as right, from what is seen of it alone, is not to be trusted.
 LEAST_BELIEF = 0.5
+# By less than this a pose is no better than half a turn from there [nats per point].
+LEAST_MARGIN = 0.1
 
 
 @dataclass(frozen=True)
@@ -233,10 +235,14 @@ def _objections(verdict: Verdict) -> list[str]:
     reasons = []
     if verdict.evidence < LEAST_EVIDENCE:
         reasons.append("the clouds explain each other no better than a chance fit would")
-    elif verdict.margin is not None and verdict.margin < 0.0:
-        reasons.append("half a turn from here the clouds fit better: a nearly symmetric shape")
     elif verdict.belief is not None and verdict.belief < LEAST_BELIEF:
-        reasons.append(f"where the clouds meet they agree too little: right with a probability of {verdict.belief:.0%}")
+        if verdict.margin is not None and verdict.margin < LEAST_MARGIN:
+            reasons.append("half a turn from here the clouds fit as well or better: a nearly symmetric shape")
+        else:
+            reasons.append(
+                "where the clouds meet they agree too little: the pose is right with a probability of "
+                f"{verdict.belief:.0%}"
+            )
     if verdict.scale is not None:
         reasons.append(
             f"the clouds are of different sizes: the source fits if it is scaled by {verdict.scale:.3f} before"

@@ -20,8 +20,9 @@ from adagmm_o3d.trust.normals import surface_normals
 
 # Neighbours that a point's normal comes from.
 NEIGHBORS = {2: 6, 3: 16}
-# So many spacings of the points from the other cloud a point is near it, and so far from its surface it is on it.
-NEAR, ON = 3.0, 0.5
+# So many spacings of the points from the other cloud a point is near it, and so far from its surface it is on it; or so
+# many radii, where that is more: as far as sensors are known to bend what they see.
+NEAR, ON, BENT = 3.0, 0.5, 0.04
 # Normals are the same up to this cosine; where the scatter across the surface is more than this share of that along it,
 # as with noise or in a tangle, there is no surface to face the same way.
 SAME_WAY, FLAT = 0.85, 0.1
@@ -76,8 +77,8 @@ def _near_and_on(source: Surface, target: Surface, pose: Array) -> tuple[Mask, M
 def _seen_from(own: Surface, other: Surface, pose: Array, spacing: float) -> tuple[Mask, Mask]:
     moved, normals = own.points @ pose[:3, :3].T + pose[:3, 3], own.normals @ pose[:3, :3].T
     indices, squares = other.index.query(moved)
-    nearest, near = indices[:, 0], squares[:, 0] < (NEAR * spacing) ** 2
+    nearest, near = indices[:, 0], squares[:, 0] < max(NEAR * spacing, 2.0 * BENT) ** 2
     off = np.abs(np.einsum("ni,ni->n", moved - other.points[nearest], other.normals[nearest]))
     same_way = np.abs(np.einsum("ni,ni->n", normals, other.normals[nearest])) > SAME_WAY
     same_way |= ~(own.flat & other.flat[nearest])
-    return near, near & (off < ON * spacing) & same_way
+    return near, near & (off < max(ON * spacing, BENT)) & same_way

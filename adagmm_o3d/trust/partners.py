@@ -20,8 +20,8 @@ from adagmm_o3d.result import Partners
 # recorded, public and cut pairs: the overlap then is that of the true pose, on grids of a sixth of a hundredth of the
 # radius, within 0.03 in the median.
 SPACINGS, RADII = 3.0, 0.06
-# How steeply the probability falls about that distance.
-STEEPNESS = 8
+# How steeply the probability falls about that distance, and in how many times of it to nothing.
+STEEPNESS, FARTHEST = 8, 2.0
 
 
 def partners_at(source: Mixture, target: Mixture, pose: Array) -> Partners:
@@ -33,7 +33,8 @@ def partners_at(source: Mixture, target: Mixture, pose: Array) -> Partners:
         moved = source.points_at(certain) @ pose[:3, :3].T + pose[:3, 3]
         squares = NeighborIndex(np.ascontiguousarray(target.points_at(among))).query(moved)[1][:, 0]
         reach = max(RADII, SPACINGS * max(spacing_of_whole(mixture) for mixture in (source, target)))
-        weights[certain] = 1.0 / (1.0 + (squares / reach**2) ** (STEEPNESS // 2))
+        near = squares < (FARTHEST * reach) ** 2
+        weights[certain[near]] = 1.0 / (1.0 + (squares[near] / reach**2) ** (STEEPNESS // 2))
     row_weights[source.kept] = weights
     return Partners(float(weights.mean()), row_weights)
 

@@ -26,9 +26,9 @@ from adagmm_o3d.trust.scale import estimate_scale
 # So few points are no surface.
 LEAST_POINTS = 30
 # The margin of a rival counts within these bounds, and shares from this one up.
-MARGINS, LEAST = (-0.5, 1.0), 0.05
+MARGINS, LEAST = (-0.5, 0.5), 0.05
 # Of the signs in their order, and the constant.
-WEIGHTS, CONSTANT = (5.2, 1.4, 4.9), -0.5
+WEIGHTS, CONSTANT = (10.5, 2.3, 6.7), 0.35
 
 
 def weigh(judge: Judge, pose: Array, *, turned: bool) -> Verdict:

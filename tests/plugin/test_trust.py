@@ -1,0 +1,228 @@
+"""Whether a result knows if it is right: outcomes of kinds that mislead, with how many may be misjudged of each."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from shapes import body_with_head, bumpy, move
+
+from adagmm_o3d import estimate_surface_covariances, register_points
+from adagmm_o3d.evaluation import pose_errors
+from adagmm_o3d.lie import se_exp
+from adagmm_o3d.mixtures.mixture import make_mixture
+from adagmm_o3d.mixtures.normalisation import normalise
+from adagmm_o3d.trust.agreement import Surface, agreement
+from adagmm_o3d.trust.copies import are_copies
+from adagmm_o3d.trust.partners import partners_at
+from adagmm_o3d.trust.scale import estimate_scale
+from adagmm_o3d.trust.verdict import MARGINS, believe
+
+NOISE = 0.005
+
+
+def twist(rng, dimension, turn, shift=0.05):
+    """A motion by a turn of so many radians about any axis, and a small shift."""
+    if dimension == 2:
+        T = np.eye(3)
+        T[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+        T[:2, 2] = shift * rng.normal(size=2)
+        return T
+    axis = rng.normal(size=3)
+    return se_exp(np.concatenate([turn * axis / np.linalg.norm(axis), shift * rng.normal(size=3)]))
+
+
+def noisy(rng, points):
+    return points + NOISE * rng.normal(size=points.shape)
+
+
+def box_with_knob(rng, n=800):
+    """A box that only a knob near one end tells from itself half a turn on."""
+    extent = np.array([2.0, 1.0, 0.4])
+    areas = extent.prod() / extent
+    axis = rng.choice(3, n, p=areas / areas.sum())
+    points = rng.uniform(-0.5, 0.5, (n, 3)) * extent
+    points[np.arange(n), axis] = rng.choice([-0.5, 0.5], n) * extent[axis]
+    knob = rng.normal(size=(60, 3))
+    knob *= 0.3 / np.linalg.norm(knob, axis=1, keepdims=True)
+    knob[:, 2] = np.abs(knob[:, 2])
+    return np.concatenate([points, knob + np.array([0.6, 0.2, 0.2])])
+
+
+def part(rng, points, share):
+    """The lower and the upper piece along a direction, of which this share of either lies in both."""
+    kept = 1.0 / (2.0 - share)
+    along = points @ rng.normal(size=3)
+    upper, lower = np.quantile(along, (kept, 1.0 - kept))
+    return points[along <= upper], points[along >= lower]
+
+
+def seen_twice(rng, trial):
+    dimension = 2 + trial % 2
+    n = (120, 900)[trial % 2]
+    T = twist(rng, dimension, rng.uniform(0.0, 0.3))
+    return noisy(rng, body_with_head(rng, n, dimension)), move(noisy(rng, body_with_head(rng, n, dimension)), T), T
+
+
+def shared_parts(rng, trial):
+    low, high = part(rng, body_with_head(rng, 1800, 3), 0.6)
+    T = twist(rng, 3, rng.uniform(0.0, 0.3))
+    return noisy(rng, low[::2]), move(noisy(rng, high[1::2]), T), T
+
+
+def biased(rng, trial):
+    """Two sensors, of which each bends what it sees by a hundredth of the radius."""
+    clouds = []
+    for _ in range(2):
+        points, waves = body_with_head(rng, 900, 3), rng.normal(size=(3, 3))
+        clouds.append(noisy(rng, points + 0.01 * np.sin(points @ waves + rng.uniform(0.0, 6.0, 3))))
+    T = twist(rng, 3, rng.uniform(0.0, 0.3))
+    return clouds[0], move(clouds[1], T), T
+
+
+def copies_of_few(rng, trial):
+    points = rng.uniform(-1.0, 1.0, (4 + trial, 3))
+    T = twist(rng, 3, rng.uniform(0.0, 0.2))
+    return points, move(points, T), T
+
+
+def halves(rng, trial):
+    return *part(rng, noisy(rng, body_with_head(rng, 1200, 3)), 0.0), None
+
+
+def half_a_turn_off(rng, trial):
+    T = twist(rng, 3, 0.0, 0.02)
+    T[:3, :3] = np.diag(-np.ones(3)) + 2.0 * np.outer(*[np.eye(3)[trial % 3]] * 2)
+    return noisy(rng, box_with_knob(rng)), move(noisy(rng, box_with_knob(rng)), T), T
+
+
+def outline_half_a_turn_off(rng, trial):
+    T = twist(rng, 2, np.pi + rng.uniform(-0.2, 0.2))
+    return noisy(rng, bumpy(rng, 120, 2)), move(noisy(rng, bumpy(rng, 120, 2)), T), T
+
+
+def mirrored(rng, trial):
+    dimension = 2 + trial % 2
+    n = (120, 900)[trial % 2]
+    mirror = np.eye(dimension)
+    mirror[0, 0] = -1.0
+    return noisy(rng, body_with_head(rng, n, dimension)), noisy(rng, body_with_head(rng, n, dimension)) @ mirror, None
+
+
+def another_size(rng, trial):
+    T = twist(rng, 3, rng.uniform(0.0, 0.3))
+    return noisy(rng, body_with_head(rng, 900, 3)), 1.05 * move(noisy(rng, body_with_head(rng, 900, 3)), T), None
+
+
+def outcome(source, target, T):
+    """Whether the pose is right, and whether the result warns of it."""
+    covariances = [None, None]
+    if len(source) > 500:
+        covariances = [estimate_surface_covariances(cloud) for cloud in (source, target)]
+    result = register_points(source, target, *covariances)
+    if T is None:
+        return False, bool(result.warnings), result
+    errors = pose_errors(T, result.transformation)
+    return errors.rotation_deg < 5.0 and errors.translation < 0.1, bool(result.warnings), result
+
+
+@pytest.mark.parametrize(
+    ("kind", "trials", "silent", "alarms"),
+    [
+        (seen_twice, 8, 0, 0),
+        (shared_parts, 4, 0, 0),
+        (biased, 4, 0, 0),
+        (copies_of_few, 8, 0, 0),
+        (halves, 4, 0, 0),
+        (half_a_turn_off, 6, 0, 1),
+        (outline_half_a_turn_off, 6, 0, 0),
+        (mirrored, 6, 0, 0),
+        (another_size, 4, 0, 0),
+    ],
+    ids=lambda value: getattr(value, "__name__", str(value)),
+)
+def test_how_often_a_result_is_misjudged(kind, trials, silent, alarms):
+    """At most so many wrong without a warning, and so many right with one."""
+    wrong_and_silent, right_and_warned = [], []
+    for trial in range(trials):
+        right, warned, result = outcome(*kind(np.random.default_rng([trial, 16]), trial))
+        if not right and not warned:
+            wrong_and_silent.append((trial, result.belief, result.evidence))
+        if right and warned:
+            right_and_warned.append((trial, result.warnings))
+    assert len(wrong_and_silent) <= silent, wrong_and_silent
+    assert len(right_and_warned) <= alarms, right_and_warned
+
+
+def test_another_size_is_said_with_its_factor():
+    source, target, _ = another_size(np.random.default_rng([0, 16]), 0)
+    result = outcome(source, target, None)[2]
+    assert result.scale == pytest.approx(1.05, abs=0.005)
+    assert any("1.05" in warning and "different sizes" in warning for warning in result.warnings)
+    # whichever comes first
+    assert outcome(target, source, None)[2].scale == pytest.approx(1.0 / 1.05, abs=0.005)
+
+
+def test_one_size_is_not_said_to_differ():
+    rng = np.random.default_rng(3)
+    surfaces = [Surface(noisy(rng, bumpy(rng, 900, 3)), 3) for _ in range(2)]
+    scale = estimate_scale(*surfaces, np.eye(4), 3)
+    assert not scale.differs and scale.factor == pytest.approx(1.0, abs=0.01)
+    # a third is too little to tell
+    some = Surface(surfaces[0].points[surfaces[0].points[:, 0] > 0.3], 3)
+    assert estimate_scale(surfaces[1], some, np.eye(4), 3) is None
+
+
+def test_surfaces_agree_where_they_meet():
+    rng = np.random.default_rng(4)
+    one, other = (Surface(noisy(rng, body_with_head(rng, 900, 3)), 3) for _ in range(2))
+    right = agreement(one, other, np.eye(4))
+    assert right.relative > 0.9 and right.share > 0.9
+    askew = agreement(one, other, se_exp(np.array([0.4, -0.3, 0.5, 0.05, 0.0, 0.0])))
+    assert askew.relative < 0.7 and askew.share < right.share
+    # swapped it is the same
+    swapped = agreement(other, one, np.eye(4))
+    assert swapped == right
+
+
+def test_belief_grows_with_each_sign():
+    least, most = np.array([-0.5, -1.5, MARGINS[0]]), np.array([0.0, -0.1, MARGINS[1]])
+    assert believe(least) < 0.05 and believe(most) > 0.95
+    for sign in range(3):
+        more = least.copy()
+        more[sign] = most[sign]
+        assert believe(more) > believe(least)
+
+
+def mixtures_of(source, target):
+    return normalise(*(make_mixture(name, points, None) for name, points in (("source", source), ("target", target))))
+
+
+def test_copies_are_known_from_another_sample_and_a_lattice():
+    rng = np.random.default_rng(5)
+    points = rng.uniform(-1.0, 1.0, (60, 3)) * (1.0, 1.0, 0.0)
+    source, target, _ = mixtures_of(points, points)
+    assert are_copies(source, target, np.eye(4))
+    assert not are_copies(source, target, se_exp(np.array([0.0, 0.0, 0.0, 0.1, 0.0, 0.0])))
+    source, target, _ = mixtures_of(points, rng.uniform(-1.0, 1.0, (60, 3)) * (1.0, 1.0, 0.0))
+    assert not are_copies(source, target, np.eye(4))
+    lattice = np.stack(np.meshgrid(np.arange(8.0), np.arange(8.0), [0.0]), axis=-1).reshape(-1, 3)
+    source, target, _ = mixtures_of(lattice, lattice)
+    assert not are_copies(source, target, np.eye(4))
+
+
+@pytest.mark.parametrize("share", [1.0, 0.5, 0.2])
+def test_overlap_is_what_is_shared(share):
+    rng = np.random.default_rng(6)
+    low, high = part(rng, bumpy(rng, 4000, 3), share)
+    source, target, normalisation = mixtures_of(low[::2], high[1::2])
+    partners = partners_at(source, target, normalisation.pose_in(np.eye(4)))
+    # partners are found a little beyond the edge of what is shared
+    assert share - 0.03 < partners.overlap < share + 0.08
+    assert partners.overlap == pytest.approx(partners.row_weights.mean(), abs=1e-12)
+
+
+def test_overlap_does_not_depend_on_the_start():
+    source, target, T = shared_parts(np.random.default_rng(7), 0)
+    covariances = [estimate_surface_covariances(cloud) for cloud in (source, target)]
+    overlaps = [register_points(source, target, *covariances, init=init).overlap for init in (None, T, "global")]
+    assert np.ptp(overlaps) < 0.01

@@ -83,9 +83,10 @@ class Judge:
             evidence[k] -= VIOLATION * self._violations(pose)
         return evidence
 
-    def confidence(self, pose: Array) -> float:
-        """The same of one pose, at a scale so many times coarser that a small bias of a sensor does not matter."""
-        return float(_evidence(self.sides, [pose], self.sigma * LENIENT)[0]) - VIOLATION * self._violations(pose)
+    def confidence(self, pose: Array, coarser: float = LENIENT) -> float:
+        """The same of one pose as the halves of a cloud are asked, at a scale so many times coarser: by default one at
+        which a small bias of a sensor does not matter."""
+        return float(_evidence(self.sides, [pose], self.sigma * coarser)[0]) - VIOLATION * self._violations(pose)
 
     def _violations(self, pose: Array) -> float:
         share = 0.0

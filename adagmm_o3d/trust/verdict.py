@@ -39,8 +39,8 @@ def weigh(judge: Judge, pose: Array, *, turned: bool) -> Verdict:
         return Verdict(evidence)
     source, target = (Surface(side.points, side.dimension) for side in sides)
     agreed = agreement(source, target, pose)
-    own, *rivals = judge.evidence([pose, *half_turned(sides, pose)]).tolist()
-    margin = own - max(rivals, default=-math.inf)
+    rivals = [judge.confidence(rival, 1.0) for rival in half_turned(sides, pose)]
+    margin = judge.confidence(pose, 1.0) - max(rivals, default=-math.inf)
     verdict = Verdict(evidence, share=agreed.share, relative=agreed.relative, margin=margin)
     scale = estimate_scale(source, target, pose, sides[0].dimension)
     if scale is not None and scale.differs:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from adagmm_o3d.arguments import Array, float_array
 from adagmm_o3d.errors import InputError
+from adagmm_o3d.mixtures.colours import checked_colors
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.options import (
     Callback,
@@ -37,6 +38,8 @@ def register_points(
     device: DeviceName = "auto",
     source_viewpoint: ArrayLike | None = None,
     target_viewpoint: ArrayLike | None = None,
+    source_colors: ArrayLike | None = None,
+    target_colors: ArrayLike | None = None,
     callback_after_iteration: Callback | None = None,
 ) -> PointRegistrationResult:
     """Register the points `source` onto `target` as adaptive Gaussian mixtures, in 2D or 3D.
@@ -63,6 +66,10 @@ def register_points(
     source_viewpoint, target_viewpoint : (D,) from where each cloud was seen, in its own frame and unit, e.g. zeros for
         a cloud in its camera's frame; None where that is not known. What a sensor has seen through cannot be where the
         other cloud's points come to lie, which decides where shape alone does not. In 2D they are checked and not used.
+    source_colors, target_colors : (M, 3) and (N, 3) sRGB, 0 to 1 or as uint8 0 to 255; or (M,) and (N,), or with one
+        column, intensities of any unit. Both or neither; where they are given they are looked at: points whose colours
+        are alike are likelier to be the same place. How far two looks at a place differ, the share of colours that lie
+        and what one sensor makes of the other's colours are estimated, see `PointRegistrationResult.color`.
     callback_after_iteration : called after each EM iteration with a dictionary, see `registration_adaptive_gmm`.
 
     Returns
@@ -88,6 +95,9 @@ def register_points(
         raise InputError(
             f"target.points: expected shape (n, {moving.dimension}) as the source has, got (n, {fixed.dimension})"
         )
+    counts = len(moving.kept), len(fixed.kept)
+    if (colors := checked_colors(source_colors, target_colors, counts, needed=method.color)) is not None:
+        moving, fixed = moving.coloured(colors[0]), fixed.coloured(colors[1])
     viewpoints = checked_viewpoints(source_viewpoint, target_viewpoint, dimension=moving.dimension)
     # Compiled kernels come with Numba, whose import takes as long as a registration: only with the first.
     from adagmm_o3d.search.register import register_mixtures

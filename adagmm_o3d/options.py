@@ -43,7 +43,6 @@ else:  # nothing of Open3D is imported for them
 
 # What an estimation method of Open3D looks at and ours does not.
 UNUSED = {
-    "TransformationEstimationForColoredICP": "colours are not looked at",
     "TransformationEstimationForDopplerICP": "Doppler velocities are not looked at",
 }
 
@@ -82,6 +81,8 @@ class TransformationEstimationForAdaptiveGMM:
     mutuality : 0 to 0.5, how much of a pair's weight is its share among the target point's pairs, beside that among the
         source point's (0.5: both alike). None: 0.5 for clouds of more than 1100 points, where it pays; 0 for smaller
         ones, where it costs accuracy under heavy noise.
+    color : also look at the colours, or intensities, of both clouds, which then have to have some: points whose colours
+        are alike are likelier to be the same place. It helps where the shape leaves the pose open.
     relaxation : lengthens every step, 1 <= relaxation < 2; above 1 it saves iterations.
 
     Raises
@@ -94,14 +95,16 @@ class TransformationEstimationForAdaptiveGMM:
     search: bool = True
     mutuality: float | None = None
     relaxation: float = 1.0
+    color: bool = False
 
     def __post_init__(self) -> None:
         for name, choices in (("sigma_rule", get_args(SigmaRuleName)), ("start", get_args(StartName))):
             value = getattr(self, name)
             if value not in choices:
                 raise InputError(f"{name}: expected one of {', '.join(map(repr, choices))}, got {value!r}")
-        if not isinstance(self.search, bool):
-            raise InputTypeError(f"search: expected a bool, got {type(self.search).__name__}")
+        for name in ("search", "color"):
+            if not isinstance(getattr(self, name), bool):
+                raise InputTypeError(f"{name}: expected a bool, got {type(getattr(self, name)).__name__}")
         if self.mutuality is not None and not 0.0 <= real_number("mutuality", self.mutuality) <= 0.5:
             raise InputError(f"mutuality: expected 0 <= mutuality <= 0.5 or None, got {self.mutuality:g}")
         if not 1.0 <= real_number("relaxation", self.relaxation) < 2.0:
@@ -109,7 +112,8 @@ class TransformationEstimationForAdaptiveGMM:
 
 
 def check_estimation_method(value: Any) -> TransformationEstimationForAdaptiveGMM:
-    """The options of `estimation_method`; None and Open3D's own methods, said once on the log, stand for the defaults.
+    """The options of `estimation_method`; None and Open3D's own methods, said once on the log, stand for the defaults,
+    that for coloured ICP for `color`.
 
     Raises
     ------
@@ -129,8 +133,9 @@ def check_estimation_method(value: Any) -> TransformationEstimationForAdaptiveGM
         raise InputError(
             "estimation_method: with_scaling is on, but a rigid registration estimates no scale; turn it off"
         )
-    _say_what_stands_for(type(value).__name__, _robust_kernel(value))
-    return TransformationEstimationForAdaptiveGMM()
+    color = type(value).__name__ == "TransformationEstimationForColoredICP"
+    _say_what_stands_for(type(value).__name__, _robust_kernel(value), "color=True" if color else "")
+    return TransformationEstimationForAdaptiveGMM(color=color)
 
 
 def _is_open3ds(name: str, value: object) -> bool:
@@ -170,15 +175,16 @@ def _robust_kernel(method: Any) -> str | None:
 
 
 @cache
-def _say_what_stands_for(method: str, kernel: str | None) -> None:
+def _say_what_stands_for(method: str, kernel: str | None, options: str) -> None:
     """What becomes of one of Open3D's methods; a warning where something that its user chose has no counterpart."""
     dropped = [UNUSED[method]] if method in UNUSED else []
     if kernel is not None:
         dropped.append(f"the robust kernel {kernel} is not needed, as points without a partner have no weight")
     _log.log(
         logging.WARNING if dropped else logging.INFO,
-        "estimation_method: %s stands for TransformationEstimationForAdaptiveGMM()%s",
+        "estimation_method: %s stands for TransformationEstimationForAdaptiveGMM(%s)%s",
         method,
+        options,
         "".join(f"; {reason}" for reason in dropped),
     )
 

@@ -100,9 +100,10 @@ def registration_adaptive_gmm(
         competes with what common centroids and local features propose; "global" says that nothing is known of the pose.
         See `register_points`.
     estimation_method : TransformationEstimationForAdaptiveGMM. Open3D's own methods and robust kernels are accepted, so
-        that a script needs no change, and stand for the default options, which the log says once; one that estimates a
-        scale is refused. The `epsilon` of that for GICP is the thickness of surfaces where legacy clouds have no
-        covariances.
+        that a script needs no change, and stand for the default options, which the log says once; that for coloured ICP
+        for `color`, with the colours of `PointCloud.colors`, `point.colors` or else `point.intensity`; one that
+        estimates a scale is refused. The `epsilon` of that for GICP is the thickness of surfaces where legacy clouds
+        have no covariances.
     criteria : Open3D's ICPConvergenceCriteria, legacy or tensor. `relative_rmse` bounds the change of the weighted
         residual in the last iteration, `max_iteration` the iterations reported; with 0 of them `init` is evaluated, and
         is the result. `relative_fitness` is not read. Left out, or Open3D's own defaults: 1e-3 and 200.
@@ -175,6 +176,8 @@ def registration_adaptive_gmm(
         device=device,
         source_viewpoint=source_viewpoint,
         target_viewpoint=target_viewpoint,
+        source_colors=_colors("source", moving.cloud) if method.color else None,
+        target_colors=_colors("target", fixed.cloud) if method.color else None,
         callback_after_iteration=callback_after_iteration,
     )
     evaluated = o3d.pipelines.registration.evaluate_registration(
@@ -208,6 +211,14 @@ def _check_legacy(source: Any, target: Any) -> None:
             f"target: expected a {wanted}.geometry.PointCloud as the source is, "
             f"got a {got}.geometry.PointCloud; convert it with {convert}"
         )
+
+
+def _colors(name: str, cloud: o3d.geometry.PointCloud) -> Array | None:
+    """(n, 3) colours of a legacy cloud, None where it has none."""
+    colors = np.asarray(cloud.colors)
+    if len(colors) not in (0, len(cloud.points)):
+        raise InputError(f"{name}.colors: expected one for each of the {len(cloud.points)} points, got {len(colors)}")
+    return colors if len(colors) else None
 
 
 def kind_of(cloud: Any) -> str | None:

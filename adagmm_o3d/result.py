@@ -89,6 +89,21 @@ class Verdict:
     belief: float | None = None
 
 
+@dataclass(frozen=True)
+class ColorFit:
+    """What the pairs say of colours: how far two looks at the same place differ, in CIE L*a*b* (of intensities only the
+    first coordinate counts, scaled to 0..100).
+
+    deviations : (3,) standard deviations.   lying : share of the pairs that look different none the less (highlights,
+    shadows).   gain, offset : (3,) gain · source + offset is how the target's sensor sees a colour of the source's.
+    """
+
+    deviations: Array
+    lying: float
+    gain: Array
+    offset: Array
+
+
 class Deferred(Generic[Answer]):
     """An answer that is worked out when it is first asked for; what it is made from is let go then."""
 
@@ -130,6 +145,8 @@ class PointRegistrationResult:
     regularised_source, regularised_target : points whose covariance was singular and was given some thickness.
     ambiguous : another, clearly different pose explains the clouds as well. Only a global search can tell.
     doubts : one line for each reason not to trust the result that the registration itself came upon.
+    color : what was learnt of the colours; None where they were not looked at.
+    compare_colors : see `color_support`; as the three that follow.
     find_partners, assess, weigh : what the final pose says of the points, its uncertainty, and how well it explains the
         clouds. They cost about as much as one iteration on all points and as some, so they run when something of theirs
         is first asked for: the first for `overlap` and `row_weights`, the second for `pose_covariance` and
@@ -152,6 +169,15 @@ class PointRegistrationResult:
     find_partners: Deferred[Partners]
     assess: Deferred[PoseUncertainty]
     weigh: Deferred[Verdict | None]
+    color: ColorFit | None = None
+    compare_colors: Deferred[Array] | None = None
+
+    @property
+    def color_support(self) -> Array | None:
+        """(M,) how much the colours speak for the partners of each source point [nats]: above 0 these are likelier to
+        be the same place by what they look like, below 0 less. NaN where there are no partners; None where colours were
+        not looked at."""
+        return None if self.compare_colors is None else self.compare_colors()
 
     @property
     def overlap(self) -> float:

@@ -9,13 +9,14 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import open3d as o3d
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.array_registration import checked_viewpoints, register_points
 from adagmm_o3d.errors import InputError, InputTypeError
 from adagmm_o3d.kernels.cuda.availability import obstacle
 from adagmm_o3d.kernels.limits import EPSILON
+from adagmm_o3d.mixtures.colours import checked_colors
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.open3d_results import TensorRegistrationResult
 from adagmm_o3d.options import (
@@ -35,6 +36,8 @@ TensorCloud: TypeAlias = o3d.t.geometry.PointCloud
 # Open3D numbers the voxels along an axis in 32 bits.
 MOST_VOXELS = 2.0**31 - 1.0
 _log = logging.getLogger("adagmm_o3d")
+# Where the colours of a cloud are, or else its intensities.
+COLORS = "colors", "intensity"
 INTEGER_KEYS = ("iteration_index", "scale_index", "scale_iteration_index")
 
 
@@ -73,6 +76,8 @@ def register_tensor_clouds(
         device=device,
         source_viewpoint=viewpoints[0],
         target_viewpoint=viewpoints[1],
+        source_colors=_colors(sides[0].cloud) if method.color else None,
+        target_colors=_colors(sides[1].cloud) if method.color else None,
         callback_after_iteration=_as_tensors(callback_after_iteration),
     )
     transformation = o3d.core.Tensor(details.transformation)
@@ -147,6 +152,8 @@ def _register_in_place(
     device: DeviceName,
     source_viewpoint: ArrayLike | None,
     target_viewpoint: ArrayLike | None,
+    source_colors: ArrayLike | None,
+    target_colors: ArrayLike | None,
     callback_after_iteration: Callback | None,
 ) -> PointRegistrationResult:
     """As `register_points`, on the device that the clouds are on, without their points leaving it."""
@@ -157,6 +164,10 @@ def _register_in_place(
     here = current_device(source.cloud.point.positions)
     with here:
         moving, fixed = mixture_in_place("source", source), mixture_in_place("target", target)
+        counts = len(moving.kept), len(fixed.kept)
+        colors = checked_colors(source_colors, target_colors, counts, needed=estimation_method.color)
+        if colors is not None:
+            moving, fixed = moving.coloured(colors[0]), fixed.coloured(colors[1])
         details = register_mixtures(
             moving, fixed, init, estimation_method, limits, device, callback_after_iteration, seen_from
         )
@@ -173,6 +184,7 @@ def _register_in_place(
         find_partners=answered_here(details.find_partners),
         assess=answered_here(details.assess),
         weigh=answered_here(details.weigh),
+        compare_colors=None if details.compare_colors is None else answered_here(details.compare_colors),
     )
 
 
@@ -253,6 +265,10 @@ def _thinned(name: str, cloud: TensorCloud, voxel_size: float) -> TensorCloud:
         if "covariances" in cloud.point:
             _check_shape(name, "covariances", cloud, (3, 3))
         flat.point.covariances = covariances.reshape((-1, 9))
+    for what in COLORS:
+        if what in cloud.point:
+            # uint8 would be averaged in whole numbers; the door takes them for a 255th.
+            flat.point[what] = cloud.point[what].to(o3d.core.float32) / _white(cloud, what)
     thinned = flat.voxel_down_sample(voxel_size)
     if "covariances" in thinned.point:
         thinned.point.covariances = thinned.point.covariances.reshape((-1, 3, 3))
@@ -267,6 +283,17 @@ def _covariances(name: str, cloud: TensorCloud) -> Array | None:
 def _positions(cloud: TensorCloud) -> Array:
     """(n, 3) float64 on the host."""
     return np.asarray(cloud.point.positions.cpu().numpy(), np.float64)
+
+
+def _white(cloud: TensorCloud, what: str) -> float:
+    """What the brightest colour is written as."""
+    return 255.0 if what == "colors" and cloud.point[what].dtype == o3d.core.uint8 else 1.0
+
+
+def _colors(cloud: TensorCloud) -> NDArray[Any] | None:
+    """(n, 3) colours or (n, 1) intensities; None where the cloud has neither."""
+    found = next((what for what in COLORS if what in cloud.point), None)
+    return None if found is None else cloud.point[found].cpu().numpy()
 
 
 def _check_shape(name: str, what: str, cloud: TensorCloud, row: tuple[int, ...]) -> None:

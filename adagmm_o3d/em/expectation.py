@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from typing import Protocol
 
 import numpy as np
 
 from adagmm_o3d.arguments import Array
+from adagmm_o3d.em.colour import ColourEstimate
 from adagmm_o3d.em.m_step import moved
 from adagmm_o3d.em.sigma_rules import Scale, SigmaRule
 from adagmm_o3d.em.unmatched import uniform_density
 from adagmm_o3d.kernels.cpu.acceleration import STATE
 from adagmm_o3d.kernels.update import Rule, call_follow_pairs, fresh_memory
+from adagmm_o3d.mixtures.colours import ColourModel
 from adagmm_o3d.pairs.protocol import Pairs, PairSums, PosteriorSums
 
 # The share of points without a partner is estimated within these bounds: never none, never nearly all.
@@ -22,6 +25,8 @@ LEAST_UNMATCHED, MOST_UNMATCHED = 0.05, 0.7
 SAMPLED_SIGMA, FINEST_SIGMA = 1e-4, 1e-6
 # How fast σ may fall on all points: to this share of itself in an iteration.
 FASTEST = 0.8
+# What is believed of colours is estimated anew when the logarithm of σ has changed by more than this.
+SAME_COLOURS = 0.1
 
 
 class Expectation(Protocol):
@@ -84,15 +89,20 @@ class PosteriorExpectation:
         fastest: float = FASTEST,
         floor: float = FINEST_SIGMA,
         accelerated: bool = True,
+        colours: ColourEstimate | None = None,
     ) -> None:
         self._pairs, self._dimension, self._mutuality = pairs, dimension, mutuality
         self._rule = Rule(dimension, floor, fastest, 1.0, LEAST_UNMATCHED, MOST_UNMATCHED, accelerated)
         self.scale = Scale(sigma, sigma)
         self.unmatched = unmatched
         self._memory = fresh_memory(1)[0]
+        self._colours = colours
+        self.colour: ColourModel | None = None
+        self._colour_sigma = 0.0
 
     def e_step(self, pose: Array) -> PosteriorSums:
-        return self._pairs.posterior_sums(pose, self.scale.target, self._uniform(), self._mutuality)
+        self._look_at_colours(pose)
+        return self._pairs.posterior_sums(pose, self.scale.target, self._uniform(), self._mutuality, self.colour)
 
     def advance(self, pose: Array, delta: Array, sums: PairSums, settled: bool) -> tuple[Array, bool]:
         step = np.empty(STATE)
@@ -105,6 +115,19 @@ class PosteriorExpectation:
     def matched(self, sums: PairSums) -> float:
         assert isinstance(sums, PosteriorSums)
         return sums.overlap
+
+    def _look_at_colours(self, pose: Array) -> None:
+        """Estimate anew what is believed of the colours, where σ is another one than when that was done."""
+        sigma = self.scale.target
+        if self._colours is None:
+            return
+        if self.colour is None:
+            self.colour = self._colours.first(pose, sigma, self.unmatched)
+        elif abs(math.log(sigma / self._colour_sigma)) < SAME_COLOURS:
+            return
+        else:
+            self.colour = self._colours.next(self.colour, pose, sigma, self.unmatched)
+        self._colour_sigma = sigma
 
     def _uniform(self) -> float:
         return uniform_density(self.unmatched, self.scale.target, self._dimension)

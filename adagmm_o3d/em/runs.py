@@ -14,6 +14,7 @@ from adagmm_o3d.kernels.cpu import em as kernel
 from adagmm_o3d.kernels.cpu.ranges import run_in_ranges
 from adagmm_o3d.kernels.formulas import LOG2_SCALE
 from adagmm_o3d.kernels.update import NO_OVERLAP, SETTLED, fresh_memory
+from adagmm_o3d.mixtures.colours import ColourModel
 from adagmm_o3d.mixtures.merging import COARSE_BITS, MergedMixture
 from adagmm_o3d.result import Iteration, StopReason, stop_reason
 
@@ -103,11 +104,13 @@ def run_starts(
     level: int,
     compared_at: float = COMPARED_SIGMA,
     memories: Array | None = None,
+    colour: ColourModel | None = None,
 ) -> list[End]:
     """Run EM from every start; the ends, in the order of the starts.
 
     `compared_at` is the σ whose density of points without a partner the ends' likelihoods have in common. `memories`,
-    see `kernels.update.fresh_memory`, are what a run that goes on from its end keeps of it.
+    see `kernels.update.fresh_memory`, are what a run that goes on from its end keeps of it; `colour` is what is
+    believed of the colours that both mixtures have, or None for geometry alone.
     """
     if not starts:
         return []
@@ -116,7 +119,8 @@ def run_starts(
     ends = np.empty((len(starts), kernel.END_COLUMNS))
     history = np.empty((len(starts), max(s.iterations for s in starts), kernel.HISTORY_COLUMNS))
     half, isotropic = 0.5 * source.dimension, source.isotropic and target.isotropic
-    sides = source.as_source(isotropic), target.as_target(isotropic)
+    hues = None if colour is None else (source.hues(colour, of_source=True), colour.cap)
+    sides = source.as_source(isotropic), hues, target.as_target(isotropic, colour)
     world = LOG2_SCALE**half * world_density(source.dimension)
     memories = fresh_memory(len(starts)) if memories is None else memories
     run_limits = kernel.RunLimits(
@@ -130,6 +134,9 @@ def run_starts(
         limits.bits,
         compared_at,
     )
+    if colour is not None:
+        # The kernels leave out by how much any two points' colours agree.
+        world *= colour.expected
 
     def run(first: int, last: int) -> None:
         part = slice(first, last)

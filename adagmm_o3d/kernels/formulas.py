@@ -65,6 +65,13 @@ def build(jit):
         )
 
     @jit
+    def capped_distance(ax, ay, az, bx, by, bz, cap):
+        """‖a - b‖², or `cap` where it is more: how much less probable two colours make it that points are the same."""
+        dx, dy, dz = ax - bx, ay - by, az - bz
+        d = dx * dx + dy * dy + dz * dz
+        return d if d < cap else cap
+
+    @jit
     def normal_equations(y0, y1, y2, p0, p1, p2, p3, p4, p5, u0, u1, u2, t0, t1, t2):
         """What a point y with precision P, pull u and turn t adds to the 6x6 system of a left perturbation (ω, v).
 
@@ -107,6 +114,7 @@ def build(jit):
 
     return SimpleNamespace(
         adjugate=adjugate,
+        capped_distance=capped_distance,
         normal_equations=normal_equations,
         symmetric_product=symmetric_product,
         dot=dot,

@@ -47,7 +47,7 @@ class Cells:
     """The components that the points of a mixture's cells make.
 
     points (n, 3).   covariances (n, 3, 3) the points' mean.   scatters (n, 3, 3) of the points about their mean.
-    weights (n,).
+    weights (n,).   colours (n, 3) the mean, or None.
     """
 
     points: Array
@@ -55,12 +55,15 @@ class Cells:
     scatters: Array
     weights: Array
     dimension: int
+    colours: Array | None = None
 
     def at(self, sigma: float) -> Mixture:
         """The mixture with covariances that, times `sigma`, have the scatter in them."""
         covariances = self.covariances + (OVERLAP / sigma) * self.scatters
         kept = np.full(len(self.points), True)
-        return Mixture(self.points, covariances, self.weights, self.dimension, isotropic=False, kept=kept)
+        return Mixture(
+            self.points, covariances, self.weights, self.dimension, isotropic=False, kept=kept, colours=self.colours
+        )
 
 
 class Condensed:
@@ -105,7 +108,9 @@ class Condensed:
             return self.whole
         kept = np.full(len(cells.points), True)
         isotropic = self.whole.isotropic
-        return Mixture(cells.points, cells.covariances, cells.weights, cells.dimension, isotropic, kept)
+        return Mixture(
+            cells.points, cells.covariances, cells.weights, cells.dimension, isotropic, kept, colours=cells.colours
+        )
 
     @cached_property
     def _typical_largest(self) -> float:
@@ -156,4 +161,5 @@ def _make_cells(mixture: Mixture, edges: Array, scatters: Array | None = None) -
             covariances[:, 2, 2] = 1.0
     else:
         covariances = groups.means(mixture.covariances)
-    return Cells(points, covariances, scatters, groups.total, mixture.dimension)
+    colours = None if mixture.colours is None else groups.means(mixture.colours)
+    return Cells(points, covariances, scatters, groups.total, mixture.dimension, colours)

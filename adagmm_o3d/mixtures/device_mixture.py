@@ -120,6 +120,7 @@ class DeviceMixture(Mixture):
             self.isotropic,
             self.kept,
             self.regularised,
+            None if self.colours is None else self.colours[index],
         )
 
     def points_at(self, index: NDArray[np.integer]) -> Array:
@@ -142,6 +143,7 @@ class DeviceMixture(Mixture):
         x, y, z = (float(c) for c in centre)
         frame = Frame((x, y, z), float(scale), float(unit), *VARIANCE_RANGE)
         normalised = DeviceMixture(self.table, self.isotropic, self.kept, self.regularised, self._raw, relative, frame)
+        normalised.__dict__["colours"] = self.colours
         normalised.__dict__["bounds"] = (self.bounds - centre) / scale
         return normalised
 

@@ -16,6 +16,7 @@ from adagmm_o3d.kernels.cpu.convolved_rows import MATRIX
 from adagmm_o3d.kernels.cpu.farthest_points import farthest_points
 from adagmm_o3d.kernels.cpu.tiles import make_boxes, maxima, morton_order
 from adagmm_o3d.kernels.formulas import LOG2_SCALE
+from adagmm_o3d.mixtures.colours import ColourModel
 from adagmm_o3d.mixtures.mixture import Mixture, packed
 from adagmm_o3d.mixtures.sampling import some_of
 
@@ -34,7 +35,8 @@ class MergedMixture:
     """Components of which each stands for many: its covariance at scale σ is σ · covariances + spreads.
 
     points (n, 3), covariances (n, 3, 3), spreads (n, 3, 3) the scatter of the points merged, weights (n,) summing to 1,
-    largest_variances (n,) no less than the largest eigenvalue of each covariance.
+    largest_variances (n,) no less than the largest eigenvalue of each covariance. colours (n, 3) where each component
+    is a point and has one, else None.
     """
 
     points: Array
@@ -44,6 +46,7 @@ class MergedMixture:
     largest_variances: Array
     dimension: int
     isotropic: bool = False
+    colours: Array | None = None
 
     def take(self, index: slice | NDArray[np.intp]) -> MergedMixture:
         """The mixture of some of the components."""
@@ -56,6 +59,7 @@ class MergedMixture:
             self.largest_variances[index],
             self.dimension,
             self.isotropic,
+            None if self.colours is None else self.colours[index],
         )
 
     def as_source(self, isotropic: bool) -> tuple[Any, ...]:
@@ -64,11 +68,20 @@ class MergedMixture:
         rows = 1 if isotropic else 6
         return points, matrices[:rows], spreads[:rows], *rest
 
-    def as_target(self, isotropic: bool) -> tuple[Any, ...]:
+    def as_target(self, isotropic: bool, colour: ColourModel | None = None) -> tuple[Any, ...]:
         """The components as `kernels.cpu.em` wants a target; `isotropic` says whether those of both sides are."""
         packed, matrices, spreads, *rest = self._target
         rows = 1 if isotropic else 6
-        return np.ascontiguousarray(packed[: MATRIX + rows]), matrices[:rows], spreads[:rows], *rest
+        parts = [packed[: MATRIX + rows]]
+        if colour is not None:
+            hues = self.hues(colour, of_source=False)
+            parts.append(np.pad(hues, ((0, 0), (0, packed.shape[1] - hues.shape[1]))))
+        return np.ascontiguousarray(np.concatenate(parts)), matrices[:rows], spreads[:rows], *rest
+
+    def hues(self, colour: ColourModel, *, of_source: bool) -> NDArray[np.float32]:
+        """(3, n) colours in the order of the components in space, see `colours.ColourModel.hues`."""
+        assert self.colours is not None
+        return colour.hues(self.colours[self._ordered[0]], of_source=of_source)
 
     @cached_property
     def _source(self) -> tuple[Any, ...]:
@@ -145,6 +158,7 @@ def _as_it_is(mixture: Mixture) -> MergedMixture:
         mixture.largest_variances,
         mixture.dimension,
         mixture.isotropic,
+        mixture.colours,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Hashable
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NoReturn, TypeVar
@@ -27,6 +28,8 @@ from adagmm_o3d.mixtures.checks import (
 
 # Between these a factor on a variance leaves all of its digits.
 FACTORS = (1e-100, 1e100)
+# Where a mixture keeps what is made of it.
+KEPT = "_kept_for", "_last_normalised"
 # Where xx, xy, xz, yy, yz and zz stand in a matrix read row by row.
 PACKED = np.array([0, 1, 2, 4, 5, 8])
 
@@ -40,7 +43,7 @@ class Mixture:
     points : (n, 3).   covariances : (n, 3, 3), positive definite (in 2D the block xx, xy, yy; zz is 1).
     weights : (n,) > 0.   dimension : 2 or 3.   isotropic : every covariance is a multiple of the identity.
     kept : (size of the input,) bool, False where a point had a non-finite covariance and is not in the mixture.
-    regularised : how many of the input's covariances were singular.
+    regularised : how many of the input's covariances were singular.   colours : (n, 3), see `colours`, or None.
     """
 
     points: Array
@@ -50,6 +53,7 @@ class Mixture:
     isotropic: bool
     kept: NDArray[np.bool_]
     regularised: int = 0
+    colours: Array | None = None
 
     @property
     def on_device(self) -> bool:
@@ -69,6 +73,7 @@ class Mixture:
             self.isotropic,
             self.kept,
             self.regularised,
+            None if self.colours is None else self.colours[index],
         )
         known = {
             name: self.__dict__[name][index] for name in ("variances", "largest_variances") if name in self.__dict__
@@ -95,6 +100,14 @@ class Mixture:
     def points_at(self, index: NDArray[np.integer]) -> Array:
         """(k, 3) the chosen points."""
         return self.points[index]
+
+    def coloured(self, colours: Array) -> Mixture:
+        """The same with colours, (size of the input, 3); it keeps by itself what is made of it."""
+        coloured = copy(self)
+        for made in KEPT:
+            coloured.__dict__.pop(made, None)
+        coloured.__dict__["colours"] = np.ascontiguousarray(colours[self.kept])
+        return coloured
 
     @property
     def dropped(self) -> int:
@@ -161,7 +174,14 @@ class Mixture:
             covariances[:, 2, 2] = 1.0
         points = (self.points - centre) / scale
         mixture = Mixture(
-            points, covariances, self.weights, self.dimension, self.isotropic, self.kept, self.regularised
+            points,
+            covariances,
+            self.weights,
+            self.dimension,
+            self.isotropic,
+            self.kept,
+            self.regularised,
+            self.colours,
         )
         return mixture.knowing(variances=relative, largest_variances=largest)
 

@@ -20,6 +20,7 @@ from adagmm_o3d.kernels.cpu.ranges import run_in_ranges
 from adagmm_o3d.kernels.cpu.tiles import Tiles, make_tiles, morton_order
 from adagmm_o3d.kernels.formulas import LOG2_SCALE
 from adagmm_o3d.kernels.layout import TOTAL_ENERGY, TOTAL_SUMS, TOTAL_WEIGHT
+from adagmm_o3d.mixtures.colours import ColourModel
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.pairs.protocol import PairSums, PosteriorSums
 
@@ -31,6 +32,8 @@ CUT_BITS = 24.0
 PAIRS_PER_THREAD = 200_000
 # The column sums are kept apart for this many parts of the source, whatever the number of threads, and added in order.
 BANDS = 16
+# Coordinates of a colour.
+HUES = 3
 
 
 def amplitudes_and_bits(mixture: Mixture) -> tuple[Array, Array]:
@@ -117,26 +120,33 @@ class PairLoop:
         )
         return PairSums(total_of(partials), source.restore(row_weights))
 
-    def posterior_sums(self, pose: Array, sigma: float, uniform: float, mutuality: float = 0.0) -> PosteriorSums:
+    def posterior_sums(
+        self, pose: Array, sigma: float, uniform: float, mutuality: float = 0.0, colour: ColourModel | None = None
+    ) -> PosteriorSums:
         """The E-step on convolved Gaussians at `pose` (4, 4), summed up for the M-step.
 
         uniform : density of the points without a partner, in units of (2π)^(-D/2) per normalised volume.
         mutuality : 0 to 1/2. A pair has two posteriors, seen from the source (the share it has of the density at the
             source point) and seen from the target. Its weight is their weighted geometric mean, the second to the power
             of `mutuality`: 1/2 treats both clouds alike. Above 0 it takes a pass over the pairs of its own.
+        colour : what is believed of the colours that both mixtures have; None for geometry alone.
         """
         target = self._target
-        packed, n = self._convolved[2], len(target.order)
+        packed, n = self._packed(colour), len(target.order)
+        if colour is not None:
+            # The kernels leave out by how much any two points' colours agree.
+            uniform = uniform * colour.expected
         packed[FACTOR, :n] = 1.0
         columns = None
         if mutuality > 0.0:
-            columns = self._column_densities(pose, sigma)
+            columns = self._column_densities(pose, sigma, packed, colour)
             packed[FACTOR, :n] = (uniform / (columns + uniform)) ** mutuality
         partials = np.empty((self._bands, TOTAL_SUMS))
-        densities = self._convolve(pose, sigma, uniform, mutuality, self._no_columns, partials)
+        densities = self._convolve(pose, sigma, packed, colour, uniform, mutuality, self._no_columns, partials)
 
         def find_column_densities() -> Array:
-            return target.restore(self._column_densities(pose, sigma) if columns is None else columns)
+            found = self._column_densities(pose, sigma, self._packed(colour), colour) if columns is None else columns
+            return target.restore(found if colour is None else found / colour.expected)
 
         return PosteriorSums(
             total_of(partials), self._source.restore(densities / (densities + uniform)), find_column_densities
@@ -172,10 +182,9 @@ class PairLoop:
         return source, matrices, np.empty_like(matrices)
 
     @cached_property
-    def _convolved(self) -> tuple[Float32, Float32, Float32]:
-        """Covariances of source and target, and the packed target with room for its own at some σ."""
-        matrices, target_matrices = self._laid_out("covariances", Side.covariances)
-        return matrices, target_matrices, pack(self._target.points, self._target.weights32, len(matrices))
+    def _convolved(self) -> tuple[Float32, Float32]:
+        """Covariances of source and target."""
+        return self._laid_out("covariances", Side.covariances)
 
     def _laid_out(self, what: str, lay_out: Callable[[Side, Mixture], Float32]) -> tuple[Float32, Float32]:
         """The matrices of source and target, which each of the mixtures keeps."""
@@ -185,24 +194,55 @@ class PairLoop:
         )
         return source, target
 
-    def _column_densities(self, pose: Array, sigma: float) -> Array:
+    @cached_property
+    def _plain(self) -> Float32:
+        """The packed target with room for its covariances at some σ."""
+        return pack(self._target.points, self._target.weights32, len(self._convolved[1]))
+
+    @cached_property
+    def _coloured(self) -> Float32:
+        """The same with room for colours."""
+        return pack(self._target.points, self._target.weights32, len(self._convolved[1]), HUES)
+
+    def _packed(self, colour: ColourModel | None) -> Float32:
+        if colour is None:
+            return self._plain
+        self._coloured[-HUES:, : len(self._target.order)] = self._hues(colour, of_source=False)
+        return self._coloured
+
+    def _hues(self, colour: ColourModel, *, of_source: bool) -> Float32:
+        """(3, n) colours of one side in the kernels' order, see `ColourModel.hues`."""
+        mixture, side = (self._mixtures[0], self._source) if of_source else (self._mixtures[1], self._target)
+        assert mixture.colours is not None
+        return colour.hues(mixture.colours[side.order], of_source=of_source)
+
+    def _column_densities(self, pose: Array, sigma: float, packed: Float32, colour: ColourModel | None) -> Array:
         """(N,) density of the source at the target points, in the kernels' order."""
-        columns = np.empty((self._bands, self._convolved[2].shape[1]), np.float32)
-        self._convolve(pose, sigma, 0.0, 0.0, columns, np.empty((self._bands, TOTAL_SUMS)))
+        columns = np.empty((self._bands, packed.shape[1]), np.float32)
+        self._convolve(pose, sigma, packed, colour, 0.0, 0.0, columns, np.empty((self._bands, TOTAL_SUMS)))
         sums = np.add.reduce(columns[:, : len(self._target.order)], axis=0, dtype=np.float64)
         return sums / (self._unit * self._target.weights)
 
     def _convolve(
-        self, pose: Array, sigma: float, uniform: float, mutuality: float, columns: Float32, partials: Array
+        self,
+        pose: Array,
+        sigma: float,
+        packed: Float32,
+        colour: ColourModel | None,
+        uniform: float,
+        mutuality: float,
+        columns: Float32,
+        partials: Array,
     ) -> Array:
         """Fill `columns` where there are any, otherwise `partials`; (M,) density of the target at the source points."""
         source, target, scale = self._source, self._target, np.float32(sigma)
-        matrices, target_matrices, packed = self._convolved
-        np.multiply(target_matrices, scale, out=packed[MATRIX:, : len(target.order)])
+        matrices, target_matrices = self._convolved
+        np.multiply(target_matrices, scale, out=packed[MATRIX : MATRIX + len(matrices), : len(target.order)])
         densities = np.empty(len(source.order))
         arguments = (
             _packed_pose(pose),
             (source.points, matrices * scale, source.weights, source.weights32, source.variances * scale, source.bits),
+            None if colour is None else (self._hues(colour, of_source=True), colour.cap),
             (packed, target.variances * scale, target.bits),
             target.tiles.at(scale),
             (self._planar, self._isotropic, columns is not self._no_columns),

@@ -28,6 +28,7 @@ from adagmm_o3d.kernels.cuda.held import Held, Turn, upload
 from adagmm_o3d.kernels.cuda.tiles import tiled
 from adagmm_o3d.kernels.formulas import LOG2_SCALE
 from adagmm_o3d.kernels.layout import TOTAL_SUMS
+from adagmm_o3d.mixtures.colours import ColourModel
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.pairs.cpu_pairs import total_of
 from adagmm_o3d.pairs.cuda_sides import make_side
@@ -45,9 +46,21 @@ class _Kernels(NamedTuple):
     adaptive_rows: Any
     convolved_rows: Any
     convolved_columns: Any
+    coloured_rows: Any
+    coloured_columns: Any
     reduce_adaptive: Any
     scores_of_source: Any
     scores_of_target: Any
+
+
+class Hues(NamedTuple):
+    """Colours of source and target, (tiles, 3, TILE) float32 on the device, where their distance is capped, and whether
+    they count at all."""
+
+    source: Any
+    target: Any
+    cap: np.float32
+    count: bool
 
 
 ISOTROPIC = _Kernels(
@@ -55,6 +68,8 @@ ISOTROPIC = _Kernels(
     adaptive_rows.adaptive_rows_isotropic,
     convolved_rows.convolved_rows_isotropic,
     convolved_columns.convolved_columns_isotropic,
+    convolved_rows.coloured_rows_isotropic,
+    convolved_columns.coloured_columns_isotropic,
     reductions.reduce_adaptive_isotropic,
     scores.score_sums_of_source_isotropic,
     scores.score_sums_of_target_isotropic,
@@ -64,6 +79,8 @@ ANISOTROPIC = _Kernels(
     adaptive_rows.adaptive_rows_anisotropic,
     convolved_rows.convolved_rows_anisotropic,
     convolved_columns.convolved_columns_anisotropic,
+    convolved_rows.coloured_rows_anisotropic,
+    convolved_columns.coloured_columns_anisotropic,
     reductions.reduce_adaptive_anisotropic,
     scores.score_sums_of_source,
     scores.score_sums_of_target,
@@ -84,10 +101,8 @@ class CudaPairSums(PairSums):
 class CudaPosteriorSums(PosteriorSums):
     """`PosteriorSums` whose row_weights are read from the device when they are asked for."""
 
-    def __init__(self, total: Array, rows: Held, find_columns: Callable[[], Held]) -> None:
-        self.__dict__.update(
-            total=total_of(total[None]), find_column_densities=lambda: find_columns().read(), _rows=rows
-        )
+    def __init__(self, total: Array, rows: Held, find_columns: Callable[[], Array]) -> None:
+        self.__dict__.update(total=total_of(total[None]), find_column_densities=find_columns, _rows=rows)
 
     @cached_property
     def row_weights(self) -> Array:  # type: ignore[override]
@@ -98,6 +113,7 @@ class CudaPairLoop:
     """The pairs of a source and a target mixture (normalised coordinates), evaluated on the current CUDA device."""
 
     def __init__(self, source: Mixture, target: Mixture) -> None:
+        self._mixtures = source, target
         isotropic = source.isotropic and target.isotropic
         self._kernels = ISOTROPIC if isotropic else ANISOTROPIC
         self._flat = source.dimension == 2
@@ -129,7 +145,9 @@ class CudaPairLoop:
         )
         return CudaPairSums(self._add_up(), weights)
 
-    def posterior_sums(self, pose: Array, sigma: float, uniform: float, mutuality: float = 0.0) -> CudaPosteriorSums:
+    def posterior_sums(
+        self, pose: Array, sigma: float, uniform: float, mutuality: float = 0.0, colour: ColourModel | None = None
+    ) -> CudaPosteriorSums:
         """As `PairLoop.posterior_sums`.
 
         The target's densities take a pass over all pairs of their own, before that for the source where mutuality needs
@@ -137,8 +155,12 @@ class CudaPairLoop:
         """
         source, _, source_weights = self._covariances
         self._move(pose, np.float32(sigma), self._flat, source)
-        columns = self._reduced_columns(sigma) if mutuality > 0.0 else None
-        self.launch_convolved_rows(sigma, uniform, mutuality)
+        hues = self._hues(colour)
+        expected = 1.0 if colour is None else colour.expected
+        # The kernels leave out by how much any two points' colours agree.
+        uniform = uniform * expected
+        columns = self._reduced_columns(sigma, hues) if mutuality > 0.0 else None
+        self.launch_convolved_rows(sigma, uniform, mutuality, hues)
         posteriors = self._row_turn.take()
         reductions.reduce_convolved[self._source_tiles, TILE](
             self._moved,
@@ -150,17 +172,32 @@ class CudaPairLoop:
             self._row_partials,
         )
 
-        def find_columns() -> Held:
+        def find_columns() -> Array:
             if columns is not None:
-                return columns
+                return columns.read() / expected
             self._move(pose, np.float32(sigma), self._flat, source)
-            return self._reduced_columns(sigma)
+            return self._reduced_columns(sigma, hues).read() / expected
 
         return CudaPosteriorSums(self._add_up(), posteriors, find_columns)
 
-    def _reduced_columns(self, sigma: float) -> Held:
+    def _hues(self, colour: ColourModel | None) -> Hues:
+        """The colours of both mixtures on the device; of none a placeholder."""
+        if colour is None:
+            return self._no_hues
+        source, target = (
+            upload(tiled(colour.hues(_colours_of(mixture)[side.order], of_source=side is self._source)))
+            for mixture, side in zip(self._mixtures, (self._source, self._target), strict=True)
+        )
+        return Hues(source, target, colour.cap, True)
+
+    @cached_property
+    def _no_hues(self) -> Hues:
+        none = cuda.device_array((1, 3, TILE), np.float32)
+        return Hues(none, none, np.float32(0.0), False)
+
+    def _reduced_columns(self, sigma: float, hues: Hues) -> Held:
         """The column densities, with the source where it was last moved to."""
-        self.launch_convolved_columns(sigma)
+        self.launch_convolved_columns(sigma, hues)
         columns = self._column_turn.take()
         reductions.reduce_columns[self._target_tiles, TILE](
             self._column_parts, self._unit, columns.buffer, self._densities32
@@ -227,9 +264,11 @@ class CudaPairLoop:
             self._rows,
         )
 
-    def launch_convolved_rows(self, sigma: float, uniform: float, mutuality: float) -> None:
+    def launch_convolved_rows(self, sigma: float, uniform: float, mutuality: float, hues: Hues | None = None) -> None:
         """The pairs of `posterior_sums`, seen from the source, with the source where the last pass has moved it."""
-        self._kernels.convolved_rows[(self._source_tiles, self._row_shares), TILE](
+        hues = hues or self._no_hues
+        kernel = self._kernels.coloured_rows if hues.count else self._kernels.convolved_rows
+        kernel[(self._source_tiles, self._row_shares), TILE](
             self._moved,
             self._moved_boxes,
             self._covariances[1],
@@ -239,18 +278,26 @@ class CudaPairLoop:
             self._densities32,
             np.float32(uniform),
             np.float32(mutuality),
+            hues.source,
+            hues.target,
+            hues.cap,
             self._rows,
         )
 
-    def launch_convolved_columns(self, sigma: float) -> None:
+    def launch_convolved_columns(self, sigma: float, hues: Hues | None = None) -> None:
         """The same pairs, seen from the target."""
-        self._kernels.convolved_columns[(self._target_tiles, self._column_shares), TILE](
+        hues = hues or self._no_hues
+        kernel = self._kernels.coloured_columns if hues.count else self._kernels.convolved_columns
+        kernel[(self._target_tiles, self._column_shares), TILE](
             self._covariances[1],
             self._target_boxes,
             np.float32(sigma),
             self._flat,
             self._moved,
             self._moved_boxes,
+            hues.source,
+            hues.target,
+            hues.cap,
             self._column_parts,
         )
 
@@ -288,6 +335,11 @@ class CudaPairLoop:
     def _add_up(self) -> Array:
         reductions.total[TOTAL_SUMS, reductions.ADDERS](self._row_partials, self._totals)
         return self._totals.copy_to_host()
+
+
+def _colours_of(mixture: Mixture) -> Array:
+    assert mixture.colours is not None
+    return mixture.colours
 
 
 def _shares(own_tiles: int, other_tiles: int) -> int:

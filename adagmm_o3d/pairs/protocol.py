@@ -11,6 +11,7 @@ import numpy as np
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.kernels.layout import GRADIENT, HESSIAN, TOTAL_ENERGY, TOTAL_MATCHED, TOTAL_WEIGHT
+from adagmm_o3d.mixtures.colours import ColourModel
 
 UPPER = np.triu_indices(6)
 
@@ -76,8 +77,10 @@ class Pairs(Protocol):
     def sums(self, pose: Array, source_sigma: float, target_sigma: float) -> PairSums:
         """The paper's E-step."""
 
-    def posterior_sums(self, pose: Array, sigma: float, uniform: float, mutuality: float = 0.0) -> PosteriorSums:
-        """The E-step on convolved Gaussians."""
+    def posterior_sums(
+        self, pose: Array, sigma: float, uniform: float, mutuality: float = 0.0, colour: ColourModel | None = None
+    ) -> PosteriorSums:
+        """The E-step on convolved Gaussians; with a model of them, on those of the points' colours too."""
 
     def nearest_sq(self, pose: Array) -> Array:
         """Squared nearest distances."""

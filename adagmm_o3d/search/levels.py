@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 
+from adagmm_o3d.em.colour import ColourEstimate
 from adagmm_o3d.em.runs import End, Limits, Start, joined, run_starts
 from adagmm_o3d.mixtures.merging import MergedMixture, count_certain, merge, sample
 from adagmm_o3d.mixtures.mixture import Mixture
@@ -50,7 +51,11 @@ class Levels:
     def run(self, level: Level, starts: list[Start], number: int, *, sides: Sides | None = None) -> list[End]:
         """Where the starts lead on a level; `number` is what the record of the iterations calls it."""
         limits = Limits(level.floor, level.least_unmatched, level.relative_rmse)
-        return run_starts(*(sides or self.sides(level)), starts, limits=limits, level=number)
+        source, target = sides or self.sides(level)
+        colour = None
+        if starts and source.colours is not None and target.colours is not None:
+            colour = ColourEstimate(source, target).prior()
+        return run_starts(source, target, starts, limits=limits, level=number, colour=colour)
 
     def carry_on(self, level: Level, ends: list[End], number: int, *, sides: Sides | None = None) -> list[End]:
         """The ends gone on from on another level, each with the way that led to it in front."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from adagmm_o3d.em.colour import estimate_between
 from adagmm_o3d.em.expectation import FASTEST, LEAST_UNMATCHED, SAMPLED_SIGMA, PosteriorExpectation
 from adagmm_o3d.em.loop import Outcome, expectation_maximisation
 from adagmm_o3d.em.runs import End, Limits, Start, joined, run_starts
@@ -61,7 +62,8 @@ def refine(
     """Carry an end of the search among `levels` of the `clouds` to convergence; its iterations stand before those that
     follow."""
     sides = levels.source, levels.target
-    if levels.small and mutuality == 0.0:
+    coloured = all(side.colours is not None for side in sides)
+    if levels.small and mutuality == 0.0 and not coloured:
         outcome, fit = _refine_compiled(levels, end, criteria, relaxation, observe)
         return Refined(outcome, fit, make_pair_loop(*sides, device), *sides)
 
@@ -79,6 +81,7 @@ def refine(
             fastest=fastest,
             floor=floor,
             accelerated=ACCELERATED,
+            colours=estimate_between(*sides),
         )
         outcome = expectation_maximisation(
             expectation,
@@ -89,7 +92,7 @@ def refine(
             level=LEVEL,
             observe=observe,
         )
-        ended = Fit(outcome.pose, expectation.scale.target, expectation.unmatched, mutuality)
+        ended = Fit(outcome.pose, expectation.scale.target, expectation.unmatched, mutuality, expectation.colour)
         return Refined(outcome, ended, pairs, *sides)
 
     dense = any(cloud.dense for cloud in clouds)

@@ -29,10 +29,11 @@ from adagmm_o3d.search.levels import Levels
 from adagmm_o3d.search.refinement import refine
 from adagmm_o3d.search.schedule import SCHEDULE
 from adagmm_o3d.trust import verdict
+from adagmm_o3d.trust.color_support import color_support
 from adagmm_o3d.trust.conclusion import conclude, lower
 from adagmm_o3d.trust.judge import JUDGED, Judge
 from adagmm_o3d.trust.partners import no_partners, partners_at
-from adagmm_o3d.trust.pose_covariance import uncertainty_out
+from adagmm_o3d.trust.pose_covariance import Fit, uncertainty_out
 
 # No more than a third of `max_iteration` is reported of the search.
 SEARCHING = 3
@@ -65,6 +66,7 @@ def register_mixtures(
         return _stay(moving, fixed, init, given, normalisation)
     ambiguous, assess = False, _unknown
     weigh: Callable[[], Verdict | None] = _none
+    fit: Fit | None = None
     if method.sigma_rule == "posterior":
         clouds = Condensed(moving), Condensed(fixed)
         sides = clouds[0].searched, clouds[1].searched
@@ -103,7 +105,7 @@ def register_mixtures(
             relaxation=method.relaxation,
             observe=observe,
         )
-        outcome = refined.outcome
+        outcome, fit = refined.outcome, refined.fit
         if outcome.stop_reason is not StopReason.NO_OVERLAP:
             assess = partial(uncertainty_out, refined.pairs, refined.source, refined.target, refined.fit, normalisation)
             weigh = partial(_weigh, judge, inverse_of(outcome.pose) if turned else outcome.pose, turned)
@@ -119,7 +121,10 @@ def register_mixtures(
             expectation, start, limits, dimension, relaxation=method.relaxation, observe=observe
         )
     find_partners = partial(no_partners, moving)
+    compare_colors: Callable[[], Array] | None = None
     if outcome.stop_reason is not StopReason.NO_OVERLAP:
+        if fit is not None and fit.colour is not None:
+            compare_colors = partial(color_support, moving, fixed, fit, device)
         find_partners = partial(partners_at, moving, fixed, outcome.pose)
     return conclude(
         start,
@@ -131,6 +136,8 @@ def register_mixtures(
         find_partners=find_partners,
         assess=assess,
         weigh=weigh,
+        colour=None if fit is None else fit.colour,
+        compare_colors=compare_colors,
     )
 
 

@@ -8,9 +8,18 @@ import numpy as np
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.loop import Outcome
+from adagmm_o3d.mixtures.colours import ColourModel
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.normalisation import Normalisation
-from adagmm_o3d.result import Deferred, Partners, PointRegistrationResult, PoseUncertainty, StopReason, Verdict
+from adagmm_o3d.result import (
+    ColorFit,
+    Deferred,
+    Partners,
+    PointRegistrationResult,
+    PoseUncertainty,
+    StopReason,
+    Verdict,
+)
 
 # Residuals of this variance (a standard deviation of a tenth of the radius) are heavy noise or a wrong pose.
 LARGEST_SIGMA = 0.01
@@ -27,6 +36,8 @@ def conclude(
     find_partners: Callable[[], Partners],
     assess: Callable[[], PoseUncertainty],
     weigh: Callable[[], Verdict | None],
+    colour: ColourModel | None = None,
+    compare_colors: Callable[[], Array] | None = None,
 ) -> PointRegistrationResult:
     """The result of normalised mixtures in input units."""
     poses = np.array([start, *(i.pose for i in outcome.iterations)])
@@ -47,6 +58,8 @@ def conclude(
         find_partners=Deferred(find_partners),
         assess=Deferred(assess),
         weigh=Deferred(weigh),
+        color=None if colour is None else ColorFit(colour.deviations, colour.lying, colour.gain, colour.offset),
+        compare_colors=None if compare_colors is None else Deferred(compare_colors),
     )
 
 

@@ -15,6 +15,7 @@ import itertools
 import numpy as np
 
 from adagmm_o3d.arguments import Array
+from adagmm_o3d.em.colour import ColourEstimate
 from adagmm_o3d.em.runs import Limits, Start, run_starts
 from adagmm_o3d.lie import se_inverse
 from adagmm_o3d.mixtures.merging import MergedMixture
@@ -126,7 +127,17 @@ def _evidence(
     finer: float = 1.0,
     unmatched: float = UNMATCHED,
 ) -> Array:
-    """The likelihood of EM of no iterations, at `finer` times σ; points without a partner are as dense as at σ."""
+    """The likelihood of EM of no iterations, at `finer` times σ; points without a partner are as dense as at σ.
+
+    Where both sides have colours, each pose with what it makes of these.
+    """
     starts = [Start(pose, finer * sigma, unmatched, fastest=1.0, iterations=0, follow=1.0) for pose in poses]
-    ends = run_starts(*sides, starts, limits=Limits(finer * sigma, unmatched, 0.0), level=0, compared_at=sigma)
+    limits = Limits(finer * sigma, unmatched, 0.0)
+    if sides[0].colours is None or sides[1].colours is None:
+        ends = run_starts(*sides, starts, limits=limits, level=0, compared_at=sigma)
+    else:
+        estimate, ends = ColourEstimate(*sides), []
+        for start in starts:
+            colour = estimate.first(start.pose, finer * sigma, unmatched)
+            ends += run_starts(*sides, [start], limits=limits, level=0, compared_at=sigma, colour=colour)
     return np.array([end.log_likelihood for end in ends])

@@ -35,6 +35,7 @@ from adagmm_o3d.em.unmatched import uniform_density
 from adagmm_o3d.kernels.cpu.scores import score_sums
 from adagmm_o3d.kernels.layout import CURVATURE, POINT_SUMS, SCORE, SENSITIVITY
 from adagmm_o3d.lie import hat
+from adagmm_o3d.mixtures.colours import ColourModel
 from adagmm_o3d.mixtures.merging import FLAGGED
 from adagmm_o3d.mixtures.mixture import PACKED, Mixture
 from adagmm_o3d.mixtures.normalisation import Normalisation
@@ -67,6 +68,7 @@ class Fit:
     sigma: float
     unmatched: float
     mutuality: float
+    colour: ColourModel | None = None
 
 
 def pose_uncertainty(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -> PoseUncertainty:

@@ -44,8 +44,8 @@ POINTS, BOXES, FLAT = array(float32, 3), array(float32, 2), array(float32, 1)
 SUMS, TABLE, VECTOR = array(float64, 3), array(float64, 2), array(float64, 1)
 MOVE = (POSE, float32, boolean, POINTS, BOXES, POINTS, BOXES)
 ADAPTIVE = (POINTS, BOXES, float32, POINTS, BOXES, float32, float32, SUMS)
-CONVOLVED = (POINTS, BOXES, POINTS, BOXES, float32, boolean, BOXES, float32, float32, SUMS)
-COLUMNS = (POINTS, BOXES, float32, boolean, POINTS, BOXES, TABLE)
+CONVOLVED = (POINTS, BOXES, POINTS, BOXES, float32, boolean, BOXES, float32, float32, POINTS, POINTS, float32, SUMS)
+COLUMNS = (POINTS, BOXES, float32, boolean, POINTS, BOXES, POINTS, POINTS, float32, TABLE)
 NARROW, WIDE = (BOXES, POINTS, TABLE, array(uint8, 1)), (TABLE, SUMS, TABLE, array(uint8, 1))
 CENTRE, INDEX = types.UniTuple(float64, 3), array(int32, 1)
 FRAME = (CENTRE, float64, float64, float64, float64)
@@ -60,6 +60,10 @@ KERNELS = [
     (convolved_rows.convolved_rows_anisotropic, CONVOLVED),
     (convolved_columns.convolved_columns_isotropic, COLUMNS),
     (convolved_columns.convolved_columns_anisotropic, COLUMNS),
+    (convolved_rows.coloured_rows_isotropic, CONVOLVED),
+    (convolved_rows.coloured_rows_anisotropic, CONVOLVED),
+    (convolved_columns.coloured_columns_isotropic, COLUMNS),
+    (convolved_columns.coloured_columns_anisotropic, COLUMNS),
     (nearest.nearest_sq, (POINTS, BOXES, POINTS, BOXES, BOXES)),
     (reductions.reduce_adaptive_isotropic, (POINTS, SUMS, TABLE, VECTOR, TABLE)),
     (reductions.reduce_adaptive_anisotropic, (POINTS, SUMS, TABLE, VECTOR, TABLE)),
@@ -88,7 +92,9 @@ KERNELS = [
     (surface.surface_covariances, (TABLE, TABLE, INDEX, TABLE)),
 ]
 NAMES = ["move isotropic", "move", "adaptive isotropic", "adaptive", "convolved isotropic", "convolved"]
-NAMES += ["columns isotropic", "columns", "nearest", "reduce adaptive isotropic", "reduce adaptive"]
+NAMES += ["columns isotropic", "columns", "coloured rows isotropic", "coloured rows"]
+NAMES += ["coloured columns isotropic", "coloured columns"]
+NAMES += ["nearest", "reduce adaptive isotropic", "reduce adaptive"]
 NAMES += ["reduce convolved", "reduce columns", "reduce nearest", "total"]
 NAMES += ["inspect float32", "inspect float64", "inspect bare float32", "inspect bare float64", "fill empty"]
 NAMES += ["bounds", "moments"]

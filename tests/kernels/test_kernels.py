@@ -4,7 +4,7 @@ import numba
 import numpy as np
 import pytest
 import reference
-from mixtures import random_points_and_covariances, random_pose
+from mixtures import random_colours, random_points_and_covariances, random_pose
 
 from adagmm_o3d.kernels.cpu.convolved_pass import FEW_TILES
 from adagmm_o3d.kernels.cpu.convolved_rows import SHARE
@@ -102,6 +102,37 @@ def test_posterior_sums_match_the_naive_reference(dimension, isotropic, mutualit
     np.testing.assert_allclose(sums.row_weights, posterior, rtol=2e-6, atol=1e-9)
     np.testing.assert_allclose(sums.column_densities, expected.column_densities, rtol=2e-6, atol=1e-9)
     np.testing.assert_allclose(sums.overlap, posterior.mean(), rtol=1e-6, atol=0)
+
+
+@shapes
+@pytest.mark.parametrize("mutuality", [0.0, 0.5])
+@pytest.mark.parametrize(("m", "n"), [(3, 5), (CHUNK + 1, 300)])
+def test_posterior_sums_with_colours_match_the_naive_reference(dimension, isotropic, mutuality, m, n):
+    case = Case(17 * m + n, m, n, dimension, isotropic)
+    colours, model = random_colours(m, n)
+    loop = PairLoop(
+        make_mixture("source", case.source, case.source_covariances).coloured(colours[0]),
+        make_mixture("target", case.target, case.target_covariances).coloured(colours[1]),
+    )
+    ratios = reference.colour_ratios(*colours, model)
+    assert (ratios == ratios.min()).any() and (ratios > ratios.min()).any()  # some lie, some do not
+    sigma, uniform = 0.2, 0.05
+    S, T = sigma * reference.turn(case.source_covariances, case.R), sigma * case.target_covariances
+    args = (case.y, S, case.target, T, uniform)
+    columns = reference.posterior_sums(*args, np.zeros(n), 0.0, ratios=ratios).column_densities
+    expected = reference.posterior_sums(*args, columns, mutuality, ratios=ratios)
+    sums = loop.posterior_sums(lift(case.pose), sigma, uniform, mutuality, model)
+    free = FREE[dimension]
+    scale = np.abs(expected.hessian).max()
+    np.testing.assert_allclose(sums.hessian[np.ix_(free, free)], expected.hessian, rtol=1e-5, atol=1e-6 * scale)
+    np.testing.assert_allclose(sums.gradient[free], expected.gradient, rtol=1e-5, atol=1e-6 * scale)
+    np.testing.assert_allclose([sums.weight, sums.energy], [expected.weight, expected.energy], rtol=2e-6, atol=0)
+    posterior = expected.densities / (expected.densities + uniform)
+    np.testing.assert_allclose(sums.row_weights, posterior, rtol=3e-6, atol=1e-9)
+    np.testing.assert_allclose(sums.column_densities, expected.column_densities, rtol=3e-6, atol=1e-9)
+    alone = case.loop.posterior_sums(lift(case.pose), sigma, uniform, mutuality)
+    plain = loop.posterior_sums(lift(case.pose), sigma, uniform, mutuality)
+    np.testing.assert_array_equal(plain.total, alone.total)  # colours that do not count change no bit
 
 
 @shapes

@@ -36,10 +36,13 @@ class Scene:
         nearest[:3, :3], nearest[:3, 3] = project_to_rotation(TUTORIAL_INIT[:3, :3]), TUTORIAL_INIT[:3, 3]
         self.T = random_pose(rng, 3, angle=np.radians(4.0), distance=0.05) @ nearest
         points, normals = bumpy_ellipsoid(rng, 2 * n)
+        shades = 0.5 + 0.4 * np.sin(7.0 * points)
         points += noise * rng.normal(size=points.shape)
         back = se_inverse(self.T)
         self.source = legacy_cloud(move(points[:n], back), normals[:n] @ back[:3, :3].T)
         self.target = legacy_cloud(points[n:], normals[n:])
+        for cloud, own in ((self.source, shades[:n]), (self.target, shades[n:])):
+            cloud.colors = o3d.utility.Vector3dVector(own)
 
     def tensors(self, dtype):
         return [o3d.t.geometry.PointCloud.from_legacy(cloud, dtype) for cloud in (self.source, self.target)]

@@ -211,7 +211,6 @@ def test_without_a_limit_every_point_counts(pair):
     [
         reg.TransformationEstimationPointToPoint(),
         reg.TransformationEstimationPointToPlane(),
-        reg.TransformationEstimationForColoredICP(),
         reg.TransformationEstimationForGeneralizedICP(),
         o3d.t.pipelines.registration.TransformationEstimationPointToPoint(),
         TransformationEstimationForAdaptiveGMM(),
@@ -242,7 +241,11 @@ tensor_kernel = o3d.t.pipelines.registration.robust_kernel
         (reg.TransformationEstimationPointToPlane(reg.L2Loss()), "INFO", ""),
         (reg.TransformationEstimationForGeneralizedICP(), "INFO", ""),
         (o3d.t.pipelines.registration.TransformationEstimationPointToPlane(), "INFO", ""),
-        (reg.TransformationEstimationForColoredICP(), "WARNING", "; colours are not looked at"),
+        (
+            o3d.t.pipelines.registration.TransformationEstimationForDopplerICP(),
+            "WARNING",
+            "; Doppler velocities are not looked at",
+        ),
         (
             reg.TransformationEstimationPointToPlane(reg.TukeyLoss(k=0.1)),
             "WARNING",

@@ -2,7 +2,7 @@
 
 import numpy as np
 import reference
-from mixtures import random_points_and_covariances, random_pose
+from mixtures import random_colours, random_points_and_covariances, random_pose
 
 from adagmm_o3d.mixtures.mixture import make_mixture
 from adagmm_o3d.pairs import cuda_pairs
@@ -54,6 +54,12 @@ class Case:
             make_mixture("target", self.target, self.target_covariances),
         )
 
+    def paint(self):
+        """Give both clouds colours; a model of them, and what the reference makes of the two."""
+        colours, model = random_colours(len(self.source), len(self.target))
+        self.mixtures = tuple(m.coloured(c) for m, c in zip(self.mixtures, colours, strict=True))
+        return model, reference.colour_ratios(*colours, model)
+
     def cpu_loop(self):
         return PairLoop(*self.mixtures)
 
@@ -85,14 +91,15 @@ def check_sums(case):
     np.testing.assert_allclose(sums.gradient[FREE[case.dimension]], gradient, rtol=1e-5, atol=1e-6 * scale)
 
 
-def check_posterior_sums(case, mutuality):
+def check_posterior_sums(case, mutuality, coloured=False):
     """The sums on convolved Gaussians, and the densities on both sides, are those of the naive reference."""
+    model, ratios = case.paint() if coloured else (None, 1.0)
     sigma, uniform = 0.2, 0.05
     S, T = sigma * reference.turn(case.source_covariances, case.R), sigma * case.target_covariances
     args = (case.y, S, case.target, T, uniform)
-    columns = reference.posterior_sums(*args, np.zeros(len(case.target)), 0.0).column_densities
-    expected = reference.posterior_sums(*args, columns, mutuality)
-    sums = case.cuda_loop().posterior_sums(case.lifted, sigma, uniform, mutuality)
+    columns = reference.posterior_sums(*args, np.zeros(len(case.target)), 0.0, ratios=ratios).column_densities
+    expected = reference.posterior_sums(*args, columns, mutuality, ratios=ratios)
+    sums = case.cuda_loop().posterior_sums(case.lifted, sigma, uniform, mutuality, model)
     free = np.ix_(FREE[case.dimension], FREE[case.dimension])
     scale = np.abs(expected.hessian).max()
     np.testing.assert_allclose(sums.hessian[free], expected.hessian, rtol=1e-5, atol=1e-6 * scale)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from adagmm_o3d.lie import se_exp
+from adagmm_o3d.mixtures.colours import ColourModel
 
 
 def random_points_and_covariances(rng, n, dimension, *, isotropic, radius=1.0):
@@ -22,3 +23,11 @@ def random_pose(rng, dimension, *, angle=0.4, distance=0.3):
     tangent[:turn] *= angle / np.linalg.norm(tangent[:turn])
     tangent[turn:] *= distance / np.linalg.norm(tangent[turn:])
     return se_exp(tangent)
+
+
+def random_colours(m, n):
+    """Colours (m, 3) and (n, 3) of two clouds, and a model by which some of the pairs lie."""
+    rng = np.random.default_rng(m + n)
+    colours = rng.normal(50.0, 8.0, (m, 3)), rng.normal(55.0, 8.0, (n, 3))
+    deviations, gain, offset = np.array([12.0, 8.0, 9.0]), np.array([1.1, 1.0, 0.9]), np.array([2.0, -3.0, 4.0])
+    return colours, ColourModel(deviations, gain, offset, lying=0.1, floor=1.5, expected=0.3)

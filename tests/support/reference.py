@@ -128,11 +128,22 @@ class PosteriorSums:
     """(N,) density of the source mixture at the target points, without (2π)^(−D/2)."""
 
 
-def posterior_sums(y, S, x, T, uniform, column_densities, mutuality, source_weights=None, target_weights=None):
+def colour_ratios(source_colours, target_colours, model):
+    """(M, N) how much likelier two colours (M, 3) and (N, 3) are of the same place than of two that have nothing to do
+    with each other; `model` as `adagmm_o3d.mixtures.colours.ColourModel`."""
+    seen = model.gain * source_colours + model.offset
+    half = 0.5 * (((seen[:, None] - target_colours[None]) / model.deviations) ** 2).sum(axis=2)
+    return np.exp(-np.minimum(half, model.floor)) / model.expected
+
+
+def posterior_sums(
+    y, S, x, T, uniform, column_densities, mutuality, source_weights=None, target_weights=None, ratios=1.0
+):
     """The E-step on N(d; 0, S_m + T_n), S (M, D, D) and T (N, D, D) being covariances, already turned and scaled.
 
     A pair's weight w is the weighted geometric mean of its share of the density at y_m and of the one at x_n, the
-    latter to the power of `mutuality`. `uniform` is the density of points without a partner.
+    latter to the power of `mutuality`. `uniform` is the density of points without a partner; `ratios` (M, N) what the
+    pairs' colours add, see `colour_ratios`.
     """
     u = np.full(len(y), 1.0 / len(y)) if source_weights is None else source_weights / np.sum(source_weights)
     v = np.full(len(x), 1.0 / len(x)) if target_weights is None else target_weights / np.sum(target_weights)
@@ -140,6 +151,7 @@ def posterior_sums(y, S, x, T, uniform, column_densities, mutuality, source_weig
     summed = S[:, None] + T[None]
     P = np.linalg.inv(summed)
     density = np.linalg.det(summed) ** -0.5 * np.exp(-0.5 * np.einsum("mni,mnij,mnj->mn", d, P, d))
+    density = density * ratios
     rows, columns = density @ v, u @ density
     seen_from_source = (rows + uniform)[:, None] ** (1.0 - mutuality)
     w = density * u[:, None] * v / (seen_from_source * (column_densities + uniform)[None] ** mutuality)

@@ -43,39 +43,41 @@ FEW_TILES = 8
 ZERO, ONE = np.int64(0), np.int64(1)
 
 
-def pack(points: NDArray[np.float32], weights: NDArray[np.floating], matrix_rows: int) -> NDArray[np.float32]:
-    """(5 + matrix_rows, padded n) target for `convolved_pass`: coordinates and weights, factors of one, room for the
-    matrices at σ."""
+def pack(
+    points: NDArray[np.float32], weights: NDArray[np.floating], matrix_rows: int, hue_rows: int = 0
+) -> NDArray[np.float32]:
+    """(5 + matrix_rows + hue_rows, padded n) target for `convolved_pass`: coordinates and weights, factors of one, room
+    for the matrices at σ and for colours."""
     n = points.shape[1]
     padded = -(-n // LANES) * LANES
     padded += LANES if padded % SAME_LINES == 0 else 0
-    packed = np.zeros((MATRIX + matrix_rows, padded), np.float32)
+    packed = np.zeros((MATRIX + matrix_rows + hue_rows, padded), np.float32)
     packed[X:SHARE, :n], packed[SHARE, :n], packed[FACTOR] = points, weights, 1.0
     packed[[MATRIX, MATRIX + 3, MATRIX + 5] if matrix_rows > 1 else MATRIX, n:] = 1.0
     return packed
 
 
 @njit(**FLAGS)
-def run_rows(target, i, j, kind, count, own, y, turned, columns, rows):
+def run_rows(target, i, j, kind, count, own, y, turned, hue, cap, columns, rows):
     """The pairs of the `count` points of a cluster with packed target points i..j."""
     planar, isotropic, densities_only = kind
     if densities_only:
         if isotropic:
-            densities_isotropic(target, i, j, planar, count, own, y, turned, columns, rows)
+            densities_isotropic(target, i, j, planar, count, own, y, turned, hue, cap, columns, rows)
         elif planar:
-            densities_planar(target, i, j, count, own, y, turned, columns, rows)
+            densities_planar(target, i, j, count, own, y, turned, hue, cap, columns, rows)
         else:
-            densities_full(target, i, j, count, own, y, turned, columns, rows)
+            densities_full(target, i, j, count, own, y, turned, hue, cap, columns, rows)
     elif isotropic:
-        moments_isotropic(target, i, j, planar, count, y, turned, rows)
+        moments_isotropic(target, i, j, planar, count, y, turned, hue, cap, rows)
     elif planar:
-        moments_planar(target, i, j, count, y, turned, rows)
+        moments_planar(target, i, j, count, y, turned, hue, cap, rows)
     else:
-        moments_full(target, i, j, count, y, turned, rows)
+        moments_full(target, i, j, count, y, turned, hue, cap, rows)
 
 
 @njit(**FLAGS)
-def gather(target, index, count, near):
+def gather(target, index, count, isotropic, near):
     """Copy the `count` target points of `index` together, filled up with points of no weight; how many they are now."""
     padded = (count + LANES - 1) // LANES * LANES
     for r in range(target.shape[0]):
@@ -86,10 +88,19 @@ def gather(target, index, count, near):
     # The matrix of a point that weighs nothing only has to be invertible: the identity.
     for i in range(count, padded):
         near[MATRIX, i] = F1
-        if target.shape[0] > MATRIX + 1:
+        if not isotropic:
             near[MATRIX + 3, i] = F1
             near[MATRIX + 5, i] = F1
     return padded
+
+
+@njit(**FLAGS)
+def take_hues(hues, first, last, hue):
+    """Put the colours of source points first..last, if any, into `hue`."""
+    if hues is not None:
+        for k in range(last - first):
+            for i in range(3):
+                hue[i, k] = hues[0][i, first + k]
 
 
 @njit(**FLAGS)
@@ -109,11 +120,12 @@ def points_in_reach(
 
 
 @njit(**FLAGS)
-def convolved_pass(band, bands, pose, source, target, tiles, kind, uniform, mutuality, columns, total, densities):
+def convolved_pass(band, bands, pose, source, hues, target, tiles, kind, uniform, mutuality, columns, total, densities):
     """The pairs of one of several bands of the source with all of the target, serially.
 
     source : points (3, M), matrices (1 or 6, M) at σ, weights float64 and float32, largest variances at σ, bits (M,).
-    target : packed (6 or 11, padded N) float32, see `pack`; largest variances at σ, bits (N,).
+    hues : colours of the source points (3, M) and the `cap`, see `convolved_rows`; None where colours do not count.
+    target : packed (6 or 11, with colours 9 or 14, padded N) float32, see `pack`; largest variances at σ, bits (N,).
     tiles : the target's, with variances at σ.   kind : (planar, isotropic, densities_only).
     columns : (padded N,) float32, receives the density of the band at the target points, times their weight, if
     densities_only.   total : (TOTAL_SUMS,), receives the sums if not.
@@ -130,6 +142,7 @@ def convolved_pass(band, bands, pose, source, target, tiles, kind, uniform, mutu
     lo = np.empty(3, np.float32)
     hi = np.empty(3, np.float32)
     own = np.empty(CLUSTER, np.float32)
+    hue, cap = (None, F0) if hues is None else (np.empty((3, CLUSTER), np.float32), hues[1])
     turned = np.empty((CLUSTER, 6), np.float32)
     rows = np.empty((ROW_SUMS, CLUSTER), np.float64)
     amplitudes = np.empty(CLUSTER, np.float64)
@@ -167,13 +180,14 @@ def convolved_pass(band, bands, pose, source, target, tiles, kind, uniform, mutu
         for k in range(m1 - m0):
             own[k] = weights32[m0 + k]
             move_symmetric(pose, matrices, F1, isotropic, m0 + k, turned, k)
+        take_hues(hues, m0, m1, hue)
         count = ZERO
         i = 0
         while i < met or count > 0:
             # The loops over pairs have one place to be called from, or they would be compiled for each.
             gathered = i == met or count > RUN - GROUP * TILE
             if gathered:
-                n0, n1 = 0, gather(packed, index, count, near)
+                n0, n1 = 0, gather(packed, index, count, isotropic, near)
                 run, run_columns = near, near_columns
                 if densities_only:
                     for n in range(n1):
@@ -198,7 +212,7 @@ def convolved_pass(band, bands, pose, source, target, tiles, kind, uniform, mutu
                     continue
                 n0, n1 = first * TILE, last * TILE
                 run, run_columns = packed, columns
-            run_rows(run, n0, n1, kind, m1 - m0, own, y, turned, run_columns, rows)
+            run_rows(run, n0, n1, kind, m1 - m0, own, y, turned, hue, cap, run_columns, rows)
             if gathered:
                 if densities_only:
                     for k in range(count):
@@ -223,7 +237,7 @@ def _build(stamp):
 
     @njit(**SERIAL_KERNEL_FLAGS)
     def convolution_sums(
-        first, last, pose, source, target, tiles, kind, uniform, mutuality, columns, partials, densities
+        first, last, pose, source, hues, target, tiles, kind, uniform, mutuality, columns, partials, densities
     ):
         """Bands first..last: fill `densities` (M,) and `partials` (bands, TOTAL_SUMS) or `columns` (bands, N); see
         `convolved_pass`."""
@@ -231,7 +245,7 @@ def _build(stamp):
         bands = partials.shape[0]
         for band in range(first, last):
             convolved_pass(
-                np.int64(band), bands, pose, source, target, tiles, kind, uniform, mutuality,
+                np.int64(band), bands, pose, source, hues, target, tiles, kind, uniform, mutuality,
                 columns[band], partials[band], densities,
             )  # fmt: skip
 

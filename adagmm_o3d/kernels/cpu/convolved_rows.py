@@ -3,6 +3,11 @@
 The pairs are those of the few source points of a cluster with a run i..j, whole tiles, of the packed target. Each loop
 comes for full covariances, for those of the plane (z = 0) and for multiples of the identity. `moments` are what the
 M-step needs, `densities` is how dense each mixture is at the points of the other.
+
+With colours a pair also weighs how probable these make it that its points are the same place: a Gaussian of their
+difference that falls no further than a floor, as some colours lie (a highlight, a shadow). That is a term of the
+exponent, so it takes no further exponential, as a Gaussian mixed with a constant does, and no division, as Student's t;
+the mixture led to the same poses. Without colours `hue` is None, and Numba compiles the loops without them.
 """
 
 import math
@@ -17,10 +22,13 @@ from adagmm_o3d.kernels.layout import DENSITY, ENERGY, PRECISION, PULL, WEIGHT
 
 dot = formulas.dot
 adjugate, symmetric_product = formulas.adjugate, formulas.symmetric_product
+capped_distance = formulas.capped_distance
 
-# The rows of a packed target: coordinates, share of the mixture, factor of the weight, matrix at σ (1 or 6 rows). Loops
+# The rows of a packed target: coordinates, share of the mixture, factor of the weight, matrix at σ (1 or 6 rows), and
+# where there are colours three rows of those. Loops
 # over two indices become vector code because neither can count from the end: one is a constant, one unsigned.
 X, SHARE, FACTOR, MATRIX = 0, 3, 4, 5
+FULL_HUE, PLAIN_HUE = MATRIX + 6, MATRIX + 1
 WHOLE = np.uint64(TILE)
 
 
@@ -31,9 +39,12 @@ def whole_tiles(i, j):
 
 
 @njit(**FLAGS)
-def moments_full(target, i, j, count, y, turned, rows):
+def moments_full(target, i, j, count, y, turned, hue, cap, rows):
     """Add to `rows` (layout.ROW_SUMS, points) the pairs of `count` source points `y` (3, points), their matrices
-    `turned` (points, 6)."""
+    `turned` (points, 6).
+
+    hue : (3, points) their colours, in units in which the weight of a pair halves where they differ by one, or None.
+    cap : the squared difference at which a pair's weight falls no further."""
     first = np.uint64(i)
     for k in range(count):
         y0, y1, y2 = y[0, k], y[1, k], y[2, k]
@@ -50,6 +61,8 @@ def moments_full(target, i, j, count, y, turned, rows):
         u0 = F0
         u1 = F0
         u2 = F0
+        if hue is not None:
+            h0, h1, h2 = hue[0, k], hue[1, k], hue[2, k]
         for m in range(whole_tiles(i, j)):
             n = first + m
             dx = y0 - target[X, n]
@@ -65,7 +78,14 @@ def moments_full(target, i, j, count, y, turned, rows):
             inverse = root * root
             vx, vy, vz = symmetric_product(c0, c1, c2, c3, c4, c5, dx, dy, dz)
             q = dot(dx, dy, dz, vx, vy, vz) * inverse
-            fraction, whole = exp2_parts(-q)
+            if hue is not None:
+                unlike = capped_distance(
+                    h0, h1, h2, target[FULL_HUE, n], target[FULL_HUE + 1, n], target[FULL_HUE + 2, n], cap
+                )
+                exponent = q + unlike
+            else:
+                exponent = q
+            fraction, whole = exp2_parts(-exponent)
             factor = target[FACTOR, n]
             g = fraction * (target[SHARE, n] * root * whole)
             density += g
@@ -97,7 +117,7 @@ def moments_full(target, i, j, count, y, turned, rows):
 
 
 @njit(**FLAGS)
-def moments_planar(target, i, j, count, y, turned, rows):
+def moments_planar(target, i, j, count, y, turned, hue, cap, rows):
     """The same in the plane."""
     first = np.uint64(i)
     for k in range(count):
@@ -111,6 +131,8 @@ def moments_planar(target, i, j, count, y, turned, rows):
         p3 = F0
         u0 = F0
         u1 = F0
+        if hue is not None:
+            h0, h1, h2 = hue[0, k], hue[1, k], hue[2, k]
         for m in range(whole_tiles(i, j)):
             n = first + m
             dx = y0 - target[X, n]
@@ -123,7 +145,14 @@ def moments_planar(target, i, j, count, y, turned, rows):
             vx = s3 * dx - s1 * dy
             vy = s0 * dy - s1 * dx
             q = (dx * vx + dy * vy) * inverse
-            fraction, whole = exp2_parts(-q)
+            if hue is not None:
+                unlike = capped_distance(
+                    h0, h1, h2, target[FULL_HUE, n], target[FULL_HUE + 1, n], target[FULL_HUE + 2, n], cap
+                )
+                exponent = q + unlike
+            else:
+                exponent = q
+            fraction, whole = exp2_parts(-exponent)
             factor = target[FACTOR, n]
             g = fraction * (target[SHARE, n] * root * whole)
             density += g
@@ -147,7 +176,7 @@ def moments_planar(target, i, j, count, y, turned, rows):
 
 
 @njit(**FLAGS)
-def moments_isotropic(target, i, j, planar, count, y, turned, rows):
+def moments_isotropic(target, i, j, planar, count, y, turned, hue, cap, rows):
     """The same where every covariance is a multiple of the identity."""
     first = np.uint64(i)
     for k in range(count):
@@ -159,6 +188,8 @@ def moments_isotropic(target, i, j, planar, count, y, turned, rows):
         u0 = F0
         u1 = F0
         u2 = F0
+        if hue is not None:
+            h0, h1, h2 = hue[0, k], hue[1, k], hue[2, k]
         for m in range(whole_tiles(i, j)):
             n = first + m
             dx = y0 - target[X, n]
@@ -168,7 +199,20 @@ def moments_isotropic(target, i, j, planar, count, y, turned, rows):
             precision = root * root
             q = precision * dot(dx, dy, dz, dx, dy, dz)
             # |Σ|^(-1/2): the precision to the power D / 2.
-            fraction, whole = exp2_parts(-q)
+            if hue is not None:
+                unlike = capped_distance(
+                    h0,
+                    h1,
+                    h2,
+                    target[PLAIN_HUE, n],
+                    target[PLAIN_HUE + 1, n],
+                    target[PLAIN_HUE + 2, n],
+                    cap,
+                )
+                exponent = q + unlike
+            else:
+                exponent = q
+            fraction, whole = exp2_parts(-exponent)
             factor = target[FACTOR, n]
             g = fraction * (target[SHARE, n] * precision * (F1 if planar else root) * whole)
             density += g
@@ -192,7 +236,7 @@ def moments_isotropic(target, i, j, planar, count, y, turned, rows):
 
 
 @njit(**FLAGS)
-def densities_full(target, i, j, count, own, y, turned, columns, rows):
+def densities_full(target, i, j, count, own, y, turned, hue, cap, columns, rows):
     """Add the target's density at source points `y` of weights `own` to `rows`, and theirs at its points to `columns`
     (as long as the target), each times the weight of the target point."""
     first = np.uint64(i)
@@ -200,6 +244,8 @@ def densities_full(target, i, j, count, own, y, turned, columns, rows):
         y0, y1, y2, weight = y[0, k], y[1, k], y[2, k], own[k]
         b0, b1, b2, b3, b4, b5 = turned[k, 0], turned[k, 1], turned[k, 2], turned[k, 3], turned[k, 4], turned[k, 5]
         density = F0
+        if hue is not None:
+            h0, h1, h2 = hue[0, k], hue[1, k], hue[2, k]
         for m in range(whole_tiles(i, j)):
             n = first + m
             dx = y0 - target[X, n]
@@ -214,20 +260,29 @@ def densities_full(target, i, j, count, own, y, turned, columns, rows):
             root = F1 / math.sqrt(dot(s0, s1, s2, c0, c1, c2))
             vx, vy, vz = symmetric_product(c0, c1, c2, c3, c4, c5, dx, dy, dz)
             q = dot(dx, dy, dz, vx, vy, vz) * (root * root)
-            g = target[SHARE, n] * root * exp2_float32(-q)
+            if hue is not None:
+                unlike = capped_distance(
+                    h0, h1, h2, target[FULL_HUE, n], target[FULL_HUE + 1, n], target[FULL_HUE + 2, n], cap
+                )
+                exponent = q + unlike
+            else:
+                exponent = q
+            g = target[SHARE, n] * root * exp2_float32(-exponent)
             density += g
             columns[n] += weight * g
         rows[DENSITY, k] += density
 
 
 @njit(**FLAGS)
-def densities_planar(target, i, j, count, own, y, turned, columns, rows):
+def densities_planar(target, i, j, count, own, y, turned, hue, cap, columns, rows):
     """The same in the plane."""
     first = np.uint64(i)
     for k in range(count):
         y0, y1, weight = y[0, k], y[1, k], own[k]
         b0, b1, b3 = turned[k, 0], turned[k, 1], turned[k, 3]
         density = F0
+        if hue is not None:
+            h0, h1, h2 = hue[0, k], hue[1, k], hue[2, k]
         for m in range(whole_tiles(i, j)):
             n = first + m
             dx = y0 - target[X, n]
@@ -237,19 +292,28 @@ def densities_planar(target, i, j, count, own, y, turned, columns, rows):
             s3 = target[MATRIX + 3, n] + b3
             root = F1 / math.sqrt(s0 * s3 - s1 * s1)
             q = (dx * (s3 * dx - s1 * dy) + dy * (s0 * dy - s1 * dx)) * (root * root)
-            g = target[SHARE, n] * root * exp2_float32(-q)
+            if hue is not None:
+                unlike = capped_distance(
+                    h0, h1, h2, target[FULL_HUE, n], target[FULL_HUE + 1, n], target[FULL_HUE + 2, n], cap
+                )
+                exponent = q + unlike
+            else:
+                exponent = q
+            g = target[SHARE, n] * root * exp2_float32(-exponent)
             density += g
             columns[n] += weight * g
         rows[DENSITY, k] += density
 
 
 @njit(**FLAGS)
-def densities_isotropic(target, i, j, planar, count, own, y, turned, columns, rows):
+def densities_isotropic(target, i, j, planar, count, own, y, turned, hue, cap, columns, rows):
     """The same where every covariance is a multiple of the identity."""
     first = np.uint64(i)
     for k in range(count):
         y0, y1, y2, b, weight = y[0, k], y[1, k], y[2, k], turned[k, 0], own[k]
         density = F0
+        if hue is not None:
+            h0, h1, h2 = hue[0, k], hue[1, k], hue[2, k]
         for m in range(whole_tiles(i, j)):
             n = first + m
             dx = y0 - target[X, n]
@@ -258,7 +322,20 @@ def densities_isotropic(target, i, j, planar, count, own, y, turned, columns, ro
             root = F1 / math.sqrt(target[MATRIX, n] + b)
             precision = root * root
             q = precision * dot(dx, dy, dz, dx, dy, dz)
-            g = target[SHARE, n] * precision * (F1 if planar else root) * exp2_float32(-q)
+            if hue is not None:
+                unlike = capped_distance(
+                    h0,
+                    h1,
+                    h2,
+                    target[PLAIN_HUE, n],
+                    target[PLAIN_HUE + 1, n],
+                    target[PLAIN_HUE + 2, n],
+                    cap,
+                )
+                exponent = q + unlike
+            else:
+                exponent = q
+            g = target[SHARE, n] * precision * (F1 if planar else root) * exp2_float32(-exponent)
             density += g
             columns[n] += weight * g
         rows[DENSITY, k] += density

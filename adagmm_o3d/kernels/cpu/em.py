@@ -68,7 +68,7 @@ class RunLimits(NamedTuple):
 
 # Parts of their only callers: every compiled function that holds the loops over pairs takes seconds to compile.
 @njit(inline="always", **FLAGS)
-def one_pass(pose, sigma, uniform, source, target, kind, work, total):
+def one_pass(pose, sigma, uniform, source, hues, target, kind, work, total):
     """All pairs at `pose`: fills `total`, or where `kind` says densities only, the densities in `work`."""
     points, covariances, spreads, weights, weights32, reach, reach_spreads = source
     _, a, k, target_reach, target_reach_spreads, tile_spreads, group_spreads = target[:7]
@@ -83,6 +83,7 @@ def one_pass(pose, sigma, uniform, source, target, kind, work, total):
     convolved_pass(
         ZERO, ONE, pose,
         (points, matrices, weights, weights32, own_reach[0], bits),
+        hues,
         (own_packed, own_target_reach[0], bits),
         (tile_lo, tile_hi, tile_reach[0], bits, group_lo, group_hi, group_reach[0], bits),
         kind, uniform, 0.0, columns, total, densities,
@@ -98,7 +99,7 @@ def leave_powers_of_two(total):
 
 
 @njit(inline="always", **FLAGS)
-def run_start(pose, start, source, target, isotropic, world, limits, memory, end, history):
+def run_start(pose, start, source, hues, target, isotropic, world, limits, memory, end, history):
     """Run one start, serially; see `run_em`."""
     planar = limits.dimension == 2
     rule = Rule(
@@ -133,7 +134,7 @@ def run_start(pose, start, source, target, isotropic, world, limits, memory, end
         for i in range(12):
             pose32[i] = pose[i]
         uniform = density_without_partner_compiled(world, sigma, unmatched)
-        one_pass(pose32, np.float32(sigma), uniform, source, target, (planar, isotropic, ended), work, total)
+        one_pass(pose32, np.float32(sigma), uniform, source, hues, target, (planar, isotropic, ended), work, total)
         if ended:
             break
         if not total[TOTAL_WEIGHT] > 0.0:
@@ -171,17 +172,17 @@ def _build(stamp):
     """The kernel that is called from Python; `stamp` keeps its cache fresh."""
 
     @njit(**SERIAL_KERNEL_FLAGS)
-    def run_em(poses, starts, source, target, isotropic, world, limits, memories, ends, history):
+    def run_em(poses, starts, source, hues, target, isotropic, world, limits, memories, ends, history):
         """Run every start; `poses` (S, 12) move, `ends` (S, END_COLUMNS) tell where they came to.
 
-        isotropic : whether all covariances of both sides are multiples of the identity.   world : see
+        hues : see `convolved_pass`.   isotropic : whether all covariances are multiples of the identity.   world : see
         `update.density_without_partner`.   limits : `RunLimits`.   memories : (S, …) see `update.fresh_memory`; with
         those of an end its run goes on as if it had not ended.   history : (S, most iterations, HISTORY_COLUMNS).
         """
         _ = stamp
         for s in range(starts.shape[0]):
             run_start(
-                poses[s], starts[s], source, target, isotropic, world, limits, memories[s], ends[s], history[s]
+                poses[s], starts[s], source, hues, target, isotropic, world, limits, memories[s], ends[s], history[s]
             )  # fmt: skip
 
     return run_em

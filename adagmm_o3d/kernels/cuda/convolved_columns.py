@@ -8,6 +8,7 @@ import math
 
 from numba import float32, int32
 
+from adagmm_o3d.kernels.cuda.convolved_rows import unlike_at
 from adagmm_o3d.kernels.cuda.front_end import (
     F0,
     F1,
@@ -28,8 +29,9 @@ FLUSH = 4
 
 
 @fast
-def density_anisotropic(y, j, x0, x1, x2, a0, a1, a2, a3, a4, a5):
-    """What source point j of the tile `y` adds to the density at a target point."""
+def density_anisotropic(y, j, x0, x1, x2, a0, a1, a2, a3, a4, a5, unlike):
+    """What source point j of the tile `y` adds to the density at a target point; `unlike` is the capped distance of
+    their colours, or zero."""
     dx = y[j, 0] - x0
     dy = y[j, 1] - x1
     dz = y[j, 2] - x2
@@ -39,29 +41,33 @@ def density_anisotropic(y, j, x0, x1, x2, a0, a1, a2, a3, a4, a5):
     c0, c1, c2, c3, c4, c5 = adjugate(s0, s1, s2, y[j, 7] + a3, y[j, 8] + a4, y[j, 9] + a5)
     root = inverse_root(dot(s0, s1, s2, c0, c1, c2))
     vx, vy, vz = symmetric_product(c0, c1, c2, c3, c4, c5, dx, dy, dz)
-    return y[j, 3] * root * math.exp2(-dot(dx, dy, dz, vx, vy, vz) * (root * root))
+    return y[j, 3] * root * math.exp2(-(dot(dx, dy, dz, vx, vy, vz) * (root * root) + unlike))
 
 
 @fast
-def density_isotropic(y, j, x0, x1, x2, a, flat):
+def density_isotropic(y, j, x0, x1, x2, a, flat, unlike):
     """The same where every covariance is a multiple of the identity."""
     dx = y[j, 0] - x0
     dy = y[j, 1] - x1
     dz = y[j, 2] - x2
     root = inverse_root(y[j, 4] + a)
     precision = root * root
-    return y[j, 3] * precision * (F1 if flat else root) * math.exp2(-precision * dot(dx, dy, dz, dx, dy, dz))
+    q = precision * dot(dx, dy, dz, dx, dy, dz)
+    return y[j, 3] * precision * (F1 if flat else root) * math.exp2(-(q + unlike))
 
 
-def _build(isotropic, stamp):
-    """The kernel for one kind of matrices; `stamp` keeps its cache fresh."""
+def _build(isotropic, coloured, stamp):
+    """The kernel for one kind of matrices, with colours or without; `stamp` keeps its cache fresh."""
     components = 5 if isotropic else 10
-    width = 8 if isotropic else 12  # whole 16-byte words, which the compiler then loads at once
+    hue = components
+    # Whole 16-byte words, which the compiler then loads at once.
+    width = 4 * -(-(hue + (3 if coloured else 0)) // 4)
 
     @fast_kernel
-    def convolved_columns(target, target_boxes, sigma, flat, moved, moved_boxes, parts):
+    def convolved_columns(target, target_boxes, sigma, flat, moved, moved_boxes, hues, target_hues, cap, parts):
         """One block for each target tile (x) and share of the source tiles (y), one thread for each target point.
 
+        hues, target_hues : (tiles, 3, TILE) float32 colours of source and target, read where these count.
         parts : (shares, target tiles x TILE) float64 densities, overwritten.
         """
         _ = stamp
@@ -80,6 +86,11 @@ def _build(isotropic, stamp):
             a1, a2 = target[own, MATRIX + 1, t] * sigma, target[own, MATRIX + 2, t] * sigma
             a3, a4 = target[own, MATRIX + 3, t] * sigma, target[own, MATRIX + 4, t] * sigma
             a5 = target[own, MATRIX + 5, t] * sigma
+        if coloured:
+            h0, h1, h2 = target_hues[own, 0, t], target_hues[own, 1, t], target_hues[own, 2, t]
+        else:
+            h0 = h1 = h2 = F0
+        unlike = F0
         total = 0.0
         s = F0
         pending = 0
@@ -98,18 +109,29 @@ def _build(isotropic, stamp):
                 tile = first + k * shares
                 for i in range(components):
                     y[t, i] = moved[tile, i, t]
+                if coloured:
+                    for i in range(3):
+                        y[t, hue + i] = hues[tile, i, t]
                 cuda.syncthreads()
                 for j in range(0, TILE, 4):
                     if isotropic:
-                        s += density_isotropic(y, j, x0, x1, x2, a0, flat)
-                        s += density_isotropic(y, j + 1, x0, x1, x2, a0, flat)
-                        s += density_isotropic(y, j + 2, x0, x1, x2, a0, flat)
-                        s += density_isotropic(y, j + 3, x0, x1, x2, a0, flat)
+                        unlike = unlike_at(y, j, hue, h0, h1, h2, cap) if coloured else F0
+                        s += density_isotropic(y, j, x0, x1, x2, a0, flat, unlike)
+                        unlike = unlike_at(y, j + 1, hue, h0, h1, h2, cap) if coloured else F0
+                        s += density_isotropic(y, j + 1, x0, x1, x2, a0, flat, unlike)
+                        unlike = unlike_at(y, j + 2, hue, h0, h1, h2, cap) if coloured else F0
+                        s += density_isotropic(y, j + 2, x0, x1, x2, a0, flat, unlike)
+                        unlike = unlike_at(y, j + 3, hue, h0, h1, h2, cap) if coloured else F0
+                        s += density_isotropic(y, j + 3, x0, x1, x2, a0, flat, unlike)
                     else:
-                        s += density_anisotropic(y, j, x0, x1, x2, a0, a1, a2, a3, a4, a5)
-                        s += density_anisotropic(y, j + 1, x0, x1, x2, a0, a1, a2, a3, a4, a5)
-                        s += density_anisotropic(y, j + 2, x0, x1, x2, a0, a1, a2, a3, a4, a5)
-                        s += density_anisotropic(y, j + 3, x0, x1, x2, a0, a1, a2, a3, a4, a5)
+                        unlike = unlike_at(y, j, hue, h0, h1, h2, cap) if coloured else F0
+                        s += density_anisotropic(y, j, x0, x1, x2, a0, a1, a2, a3, a4, a5, unlike)
+                        unlike = unlike_at(y, j + 1, hue, h0, h1, h2, cap) if coloured else F0
+                        s += density_anisotropic(y, j + 1, x0, x1, x2, a0, a1, a2, a3, a4, a5, unlike)
+                        unlike = unlike_at(y, j + 2, hue, h0, h1, h2, cap) if coloured else F0
+                        s += density_anisotropic(y, j + 2, x0, x1, x2, a0, a1, a2, a3, a4, a5, unlike)
+                        unlike = unlike_at(y, j + 3, hue, h0, h1, h2, cap) if coloured else F0
+                        s += density_anisotropic(y, j + 3, x0, x1, x2, a0, a1, a2, a3, a4, a5, unlike)
                 pending += 1
                 if pending == FLUSH:
                     total += s
@@ -122,5 +144,7 @@ def _build(isotropic, stamp):
     return convolved_columns
 
 
-convolved_columns_isotropic = _build(True, source_stamp())
-convolved_columns_anisotropic = _build(False, source_stamp())
+convolved_columns_isotropic = _build(True, False, source_stamp())
+convolved_columns_anisotropic = _build(False, False, source_stamp())
+coloured_columns_isotropic = _build(True, True, source_stamp())
+coloured_columns_anisotropic = _build(False, True, source_stamp())

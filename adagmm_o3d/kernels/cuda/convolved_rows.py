@@ -18,6 +18,7 @@ from adagmm_o3d.kernels.cuda.front_end import (
 from adagmm_o3d.kernels.cuda.tiles import MATRIX, is_near
 
 symmetric_product, dot, adjugate = formulas.symmetric_product, formulas.dot, formulas.adjugate
+capped_distance = formulas.capped_distance
 
 # Sums of a source point: layout.WEIGHT to PULL, then the density.
 ROWS = 12
@@ -29,8 +30,9 @@ NOTHING = (0.0,) * ROWS
 
 
 @fast
-def pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, s):
-    """The sums `s` of a source point with target point j of the tile `x` added."""
+def pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, unlike, s):
+    """The sums `s` of a source point with target point j of the tile `x` added; `unlike` is the capped distance of
+    their colours, or zero."""
     dx = y0 - x[j, 0]
     dy = y1 - x[j, 1]
     dz = y2 - x[j, 2]
@@ -42,7 +44,7 @@ def pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, s):
     inverse = root * root
     vx, vy, vz = symmetric_product(c0, c1, c2, c3, c4, c5, dx, dy, dz)
     q = dot(dx, dy, dz, vx, vy, vz) * inverse
-    g = x[j, 3] * root * math.exp2(-q)
+    g = x[j, 3] * root * math.exp2(-(q + unlike))
     c = g * x[j, 10]
     k = c * inverse
     return (
@@ -62,7 +64,7 @@ def pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, s):
 
 
 @fast
-def pair_isotropic(x, j, y0, y1, y2, b, flat, s):
+def pair_isotropic(x, j, y0, y1, y2, b, flat, unlike, s):
     """The same where every covariance is a multiple of the identity."""
     dx = y0 - x[j, 0]
     dy = y1 - x[j, 1]
@@ -72,11 +74,17 @@ def pair_isotropic(x, j, y0, y1, y2, b, flat, s):
     d2 = dot(dx, dy, dz, dx, dy, dz)
     q = precision * d2
     # |Σ|^(-1/2): the precision to the power D / 2.
-    g = x[j, 3] * precision * (F1 if flat else root) * math.exp2(-q)
+    g = x[j, 3] * precision * (F1 if flat else root) * math.exp2(-(q + unlike))
     c = g * x[j, 5]
     k = c * precision
     p = s[2] + k
     return (s[0] + c, s[1] + c * q, p, F0, F0, p, F0, p, s[8] + k * dx, s[9] + k * dy, s[10] + k * dz, s[11] + g)
+
+
+@fast
+def unlike_at(x, j, hue, h0, h1, h2, cap):
+    """The capped distance of a colour to that of point j of the tile `x`, whose columns begin at `hue`."""
+    return capped_distance(h0, h1, h2, x[j, hue], x[j, hue + 1], x[j, hue + 2], cap)
 
 
 @fast
@@ -104,18 +112,21 @@ def column_factor(density, uniform, mutuality):
     return math.exp2(mutuality * math.log2(uniform / (density + uniform)))
 
 
-def _build(isotropic, stamp):
-    """The kernel for one kind of matrices; `stamp` keeps its cache fresh."""
+def _build(isotropic, coloured, stamp):
+    """The kernel for one kind of matrices, with colours or without; `stamp` keeps its cache fresh."""
     components = 5 if isotropic else 10
-    width = 8 if isotropic else 12  # whole 16-byte words, which the compiler then loads at once
     factor = components
+    hue = components + 1
+    # Whole 16-byte words, which the compiler then loads at once.
+    width = 4 * -(-(hue + (3 if coloured else 0)) // 4)
 
     @fast_kernel
     def convolved_rows(
-        moved, moved_boxes, target, target_boxes, sigma, flat, columns, uniform, mutuality, rows
+        moved, moved_boxes, target, target_boxes, sigma, flat, columns, uniform, mutuality, hues, target_hues, cap, rows
     ):  # fmt: skip
         """One block for each source tile (x) and share of the target tiles (y), one thread for each source point.
 
+        hues, target_hues : (tiles, 3, TILE) float32 colours, see `kernels.cpu.convolved_rows`, read where these count.
         columns : (target tiles, TILE) float32 densities at the target points, read where mutuality > 0.
         rows : (shares, ROWS or more, source tiles x TILE) float64, overwritten.
         """
@@ -134,6 +145,11 @@ def _build(isotropic, stamp):
         else:
             b1, b2, b3 = moved[own, MATRIX + 1, t], moved[own, MATRIX + 2, t], moved[own, MATRIX + 3, t]
             b4, b5 = moved[own, MATRIX + 4, t], moved[own, MATRIX + 5, t]
+        if coloured:
+            h0, h1, h2 = hues[own, 0, t], hues[own, 1, t], hues[own, 2, t]
+        else:
+            h0 = h1 = h2 = F0
+        unlike = F0
         total = NOTHING
         s = NONE
         pending = 0
@@ -153,18 +169,29 @@ def _build(isotropic, stamp):
                 for i in range(components):
                     x[t, i] = target[tile, i, t] * (sigma if i >= MATRIX else F1)
                 x[t, factor] = column_factor(columns[tile, t], uniform, mutuality) if mutuality > F0 else F1
+                if coloured:
+                    for i in range(3):
+                        x[t, hue + i] = target_hues[tile, i, t]
                 cuda.syncthreads()
                 for j in range(0, TILE, 4):
                     if isotropic:
-                        s = pair_isotropic(x, j, y0, y1, y2, b0, flat, s)
-                        s = pair_isotropic(x, j + 1, y0, y1, y2, b0, flat, s)
-                        s = pair_isotropic(x, j + 2, y0, y1, y2, b0, flat, s)
-                        s = pair_isotropic(x, j + 3, y0, y1, y2, b0, flat, s)
+                        unlike = unlike_at(x, j, hue, h0, h1, h2, cap) if coloured else F0
+                        s = pair_isotropic(x, j, y0, y1, y2, b0, flat, unlike, s)
+                        unlike = unlike_at(x, j + 1, hue, h0, h1, h2, cap) if coloured else F0
+                        s = pair_isotropic(x, j + 1, y0, y1, y2, b0, flat, unlike, s)
+                        unlike = unlike_at(x, j + 2, hue, h0, h1, h2, cap) if coloured else F0
+                        s = pair_isotropic(x, j + 2, y0, y1, y2, b0, flat, unlike, s)
+                        unlike = unlike_at(x, j + 3, hue, h0, h1, h2, cap) if coloured else F0
+                        s = pair_isotropic(x, j + 3, y0, y1, y2, b0, flat, unlike, s)
                     else:
-                        s = pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, s)
-                        s = pair_anisotropic(x, j + 1, y0, y1, y2, b0, b1, b2, b3, b4, b5, s)
-                        s = pair_anisotropic(x, j + 2, y0, y1, y2, b0, b1, b2, b3, b4, b5, s)
-                        s = pair_anisotropic(x, j + 3, y0, y1, y2, b0, b1, b2, b3, b4, b5, s)
+                        unlike = unlike_at(x, j, hue, h0, h1, h2, cap) if coloured else F0
+                        s = pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, unlike, s)
+                        unlike = unlike_at(x, j + 1, hue, h0, h1, h2, cap) if coloured else F0
+                        s = pair_anisotropic(x, j + 1, y0, y1, y2, b0, b1, b2, b3, b4, b5, unlike, s)
+                        unlike = unlike_at(x, j + 2, hue, h0, h1, h2, cap) if coloured else F0
+                        s = pair_anisotropic(x, j + 2, y0, y1, y2, b0, b1, b2, b3, b4, b5, unlike, s)
+                        unlike = unlike_at(x, j + 3, hue, h0, h1, h2, cap) if coloured else F0
+                        s = pair_anisotropic(x, j + 3, y0, y1, y2, b0, b1, b2, b3, b4, b5, unlike, s)
                 pending += 1
                 if pending == FLUSH:
                     total = added(total, s)
@@ -190,5 +217,7 @@ def _build(isotropic, stamp):
     return convolved_rows
 
 
-convolved_rows_isotropic = _build(True, source_stamp())
-convolved_rows_anisotropic = _build(False, source_stamp())
+convolved_rows_isotropic = _build(True, False, source_stamp())
+convolved_rows_anisotropic = _build(False, False, source_stamp())
+coloured_rows_isotropic = _build(True, True, source_stamp())
+coloured_rows_anisotropic = _build(False, True, source_stamp())

@@ -23,7 +23,7 @@ def test_right_kernels_pass(monkeypatch):
 
 def test_a_pass_that_leaves_something_unwritten_is_found(monkeypatch):
     class Forgetful(cuda_pairs.CudaPairLoop):
-        def launch_convolved_columns(self, sigma):
+        def launch_convolved_columns(self, sigma, hues):
             """Writes nothing."""
 
     monkeypatch.setattr(cuda_pairs, "CudaPairLoop", Forgetful)

@@ -21,6 +21,8 @@ class Counted:
     @staticmethod
     def _operation(function):
         def operate(self, *others):
+            if NOTHING in others:
+                return self
             Counted.count += 1
             return Counted(function(self.value, *(float(getattr(o, "value", o)) for o in others)))
 
@@ -40,18 +42,20 @@ class Counted:
         return Counted(-self.value)
 
 
+# The distance between the colours of points that have none: the compiler adds no zero.
+NOTHING = object()
 COUNTED_MATH = SimpleNamespace(exp2=Counted.exp2)
 MATRIX = [Counted(v) for v in (2.0, 0.1, 0.2, 1.5, 0.3, 1.0)]
 Y = [Counted(v) for v in (0.1, 0.2, 0.3)]
 ROWS = {
     "adaptive": (adaptive_rows, "pair_anisotropic", adaptive_rows.ROWS, MATRIX),
     "adaptive isotropic": (adaptive_rows, "pair_isotropic", adaptive_rows.ROWS, MATRIX[:1]),
-    "convolved": (convolved_rows, "pair_anisotropic", convolved_rows.ROWS, MATRIX),
-    "convolved isotropic": (convolved_rows, "pair_isotropic", convolved_rows.ROWS, [MATRIX[0], False]),
+    "convolved": (convolved_rows, "pair_anisotropic", convolved_rows.ROWS, [*MATRIX, NOTHING]),
+    "convolved isotropic": (convolved_rows, "pair_isotropic", convolved_rows.ROWS, [MATRIX[0], False, NOTHING]),
 }
 COLUMNS = {
-    "columns": ("density_anisotropic", MATRIX),
-    "columns isotropic": ("density_isotropic", [MATRIX[0], False]),
+    "columns": ("density_anisotropic", [*MATRIX, NOTHING]),
+    "columns isotropic": ("density_isotropic", [MATRIX[0], False, NOTHING]),
 }
 
 

@@ -49,6 +49,12 @@ def test_posterior_sums_match_the_naive_reference(dimension, isotropic, m, n, mu
 
 
 @shapes
+@pytest.mark.parametrize(("m", "n", "mutuality"), [(TILE + 1, 2 * TILE + 1, 0.5), (2 * TILE - 1, TILE, 0.0)])
+def test_posterior_sums_with_colours_match_the_naive_reference(dimension, isotropic, m, n, mutuality):
+    check_posterior_sums(Case(13 * m + n, m, n, dimension, isotropic), mutuality, coloured=True)
+
+
+@shapes
 @sizes
 def test_nearest_distances_match_the_naive_reference(dimension, isotropic, m, n):
     check_nearest(Case(m + n, m, n, dimension, isotropic))
@@ -139,7 +145,9 @@ def test_the_target_is_asked_only_when_somebody_wants_to_know(monkeypatch):
     expected = case.cpu_loop().posterior_sums(case.lifted, 0.2, 0.05)
     loop, asked = case.cuda_loop(), []
     launch = loop.launch_convolved_columns
-    monkeypatch.setattr(loop, "launch_convolved_columns", lambda sigma: (asked.append(sigma), launch(sigma)))
+    monkeypatch.setattr(
+        loop, "launch_convolved_columns", lambda sigma, hues: (asked.append(sigma), launch(sigma, hues))
+    )
     sums = loop.posterior_sums(case.lifted, 0.2, 0.05)
     check_same(sums, expected)
     assert asked == []

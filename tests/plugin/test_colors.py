@@ -1,0 +1,196 @@
+"""Colours as further coordinates: they hold what the shape leaves free, and what is learnt of them is what was done."""
+
+import re
+
+import numpy as np
+import open3d as o3d
+import pytest
+
+from adagmm_o3d import InputError, TransformationEstimationForAdaptiveGMM, register_points, registration_adaptive_gmm
+from adagmm_o3d.errors import InputTypeError
+from adagmm_o3d.evaluation import pose_errors
+from adagmm_o3d.lie import se_exp
+from adagmm_o3d.mixtures.colours import lab_of
+
+reg, treg = o3d.pipelines.registration, o3d.t.pipelines.registration
+COLOURED = TransformationEstimationForAdaptiveGMM(color=True)
+
+
+def painted(points):
+    """(n, 3) colours of places on a wall, from 0.1 to 0.9."""
+    u, v = points[:, 0], points[:, 1]
+    waves = [np.sin(6.0 * u + 2.0 * v), np.sin(5.0 * v - 3.0 * u), np.sin(4.0 * (u + v))]
+    return 0.5 + 0.4 * np.stack(waves, axis=1)
+
+
+class Wall:
+    """Two looks at a painted wall, which can slide and turn in its plane: only the paint holds it."""
+
+    def __init__(self, n=900, seed=0):
+        rng = np.random.default_rng(seed)
+        wall = np.concatenate([rng.uniform(-1.0, 1.0, (2 * n, 2)), 0.002 * rng.normal(size=(2 * n, 1))], axis=1)
+        self.T = se_exp(np.array([0.01, -0.02, 0.08, 0.1, -0.06, 0.02]))
+        colors = painted(wall)
+        self.target, self.target_colors = wall[:n], colors[:n]
+        self.source, self.source_colors = (wall[n:] - self.T[:3, 3]) @ self.T[:3, :3], colors[n:]
+        thin = np.tile(np.diag([1.0, 1.0, 1e-3]), (n, 1, 1))
+        self.target_covariances, self.source_covariances = thin, self.T[:3, :3].T @ thin @ self.T[:3, :3]
+
+    def arrays(self):
+        return self.source, self.target, self.source_covariances, self.target_covariances
+
+    def clouds(self):
+        clouds = []
+        for points, colors, covariances in (
+            (self.source, self.source_colors, self.source_covariances),
+            (self.target, self.target_colors, self.target_covariances),
+        ):
+            cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+            cloud.colors = o3d.utility.Vector3dVector(colors)
+            cloud.covariances = o3d.utility.Matrix3dVector(covariances)
+            clouds.append(cloud)
+        return clouds
+
+
+@pytest.fixture(scope="module")
+def wall():
+    return Wall()
+
+
+def found(wall, transformation):
+    errors = pose_errors(wall.T, np.asarray(transformation))
+    return errors.rotation_deg < 0.5 and errors.translation < 0.01
+
+
+def test_paint_holds_a_wall_that_the_shape_lets_slide(wall):
+    plain = register_points(*wall.arrays())
+    coloured = register_points(*wall.arrays(), source_colors=wall.source_colors, target_colors=wall.target_colors)
+    assert not found(wall, plain.transformation)
+    assert found(wall, coloured.transformation)
+    assert plain.color is None and plain.color_support is None
+    assert coloured.color.lying < 0.1
+    np.testing.assert_allclose(coloured.color.gain, 1.0, rtol=0, atol=0.05)
+    np.testing.assert_allclose(coloured.color.offset, 0.0, rtol=0, atol=2.0)
+    assert np.nanmedian(coloured.color_support) > 0.5
+
+
+@pytest.mark.parametrize("kind", ["legacy", "tensor float32", "tensor uint8", "tensor intensity"])
+def test_open3ds_method_for_coloured_icp_is_taken_for_color(wall, kind):
+    clouds, method = wall.clouds(), reg.TransformationEstimationForColoredICP()
+    if kind == "legacy":
+        expected = registration_adaptive_gmm(*clouds, 0.1, np.eye(4), COLOURED).transformation
+    else:
+        method = treg.TransformationEstimationForColoredICP()
+        clouds = [o3d.t.geometry.PointCloud.from_legacy(cloud) for cloud in clouds]
+        for cloud in clouds:
+            if kind == "tensor uint8":
+                cloud.point.colors = (cloud.point.colors * 255.0).round().to(o3d.core.uint8)
+            elif kind == "tensor intensity":
+                # one channel with all the paint in it, as a reflectance from 0 to 65535
+                cloud.point.intensity = cloud.point.colors.mean(dim=[1], keepdim=True) * 65535.0
+                del cloud.point.colors
+        expected = None
+    # Open3D's registration_colored_icp with the name changed
+    result = registration_adaptive_gmm(*clouds, 0.1, np.eye(4), method, reg.ICPConvergenceCriteria(max_iteration=60))
+    pose = result.transformation if kind == "legacy" else result.transformation.numpy()
+    assert found(wall, pose)
+    if expected is not None:
+        np.testing.assert_allclose(result.transformation, expected, rtol=0, atol=5e-3)
+
+
+def test_colours_that_nobody_asked_for_change_no_bit(wall):
+    clouds = wall.clouds()
+    bare = wall.clouds()
+    for cloud in bare:
+        cloud.colors = o3d.utility.Vector3dVector()
+    results = [registration_adaptive_gmm(*pair, 0.1).transformation for pair in (clouds, bare)]
+    np.testing.assert_array_equal(*results)
+
+
+def test_what_one_sensor_makes_of_the_others_colours_is_learnt(wall):
+    darker = (0.6 * wall.source_colors) ** 1.1
+    result = register_points(*wall.arrays(), source_colors=darker, target_colors=wall.target_colors)
+    assert found(wall, result.transformation)
+    seen, wanted = lab_of(darker), lab_of(painted(wall.source @ wall.T[:3, :3].T + wall.T[:3, 3]))
+    corrected = result.color.gain * seen + result.color.offset
+    assert np.abs(corrected - wanted).mean() < 0.5 * np.abs(seen - wanted).mean()
+
+
+def test_the_share_of_colours_that_lie_is_learnt(wall):
+    rng = np.random.default_rng(5)
+    colors = wall.source_colors.copy()
+    lying = rng.random(len(colors)) < 0.25
+    colors[lying] = rng.random((lying.sum(), 3))
+    result = register_points(*wall.arrays(), source_colors=colors, target_colors=wall.target_colors)
+    assert found(wall, result.transformation)
+    assert 0.1 < result.color.lying < 0.35
+    support = result.color_support
+    assert np.nanmedian(support[lying]) < 0.0 < np.nanmedian(support[~lying])
+
+
+def test_colours_help_in_the_plane_too():
+    rng = np.random.default_rng(3)
+    angle, points = 0.1, rng.uniform(-1.0, 1.0, (600, 2))
+    colors = painted(np.column_stack([points, np.zeros(len(points))]))
+    R, t = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]), np.array([0.05, -0.1])
+    source, target = (points[:300] - t) @ R, points[300:]
+    result = register_points(source, target, source_colors=colors[:300], target_colors=colors[300:])
+    np.testing.assert_allclose(result.transformation[:2, :2], R, rtol=0, atol=0.01)
+    np.testing.assert_allclose(result.transformation[:2, 2], t, rtol=0, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "error", "words"),
+    [
+        (None, "same", InputError, "source.colors: expected one for each of the points as the other cloud has them"),
+        ("same", None, InputError, "target.colors: expected one for each of the points as the other cloud has them"),
+        (255.0, "same", InputError, "source.colors: expected 0 to 1, got 2"),
+        (-1.0, "same", InputError, "source.colors: expected numbers of at least 0, got -0.9"),
+        ("short", "same", InputError, "source.colors: expected shape (900, 3 or 1), got (899, 3)"),
+        ("two", "same", InputError, "source.colors: expected shape (900, 3 or 1), got (900, 2)"),
+        ("nan", "same", InputError, "source.colors: expected finite numbers, got nan at index (7, 1)"),
+        ("words", "same", InputTypeError, "source.colors: expected an array of real numbers, got"),
+        ("same", "grey", InputError, "target.colors: expected colours as the source has, got intensities"),
+    ],
+)
+def test_what_is_wrong_with_colours_is_said(wall, source, target, error, words):
+    def made(what, colors):
+        if isinstance(what, float):
+            return what * colors
+        bad = colors.copy()
+        bad[7, 1] = np.nan
+        return {
+            None: None,
+            "same": colors,
+            "short": colors[1:],
+            "two": colors[:, :2],
+            "nan": bad,
+            "words": np.full(colors.shape, "red"),
+            "grey": colors[:, 0],
+        }[what]
+
+    with pytest.raises(error, match=re.escape(words)):
+        register_points(
+            *wall.arrays(),
+            source_colors=made(source, wall.source_colors),
+            target_colors=made(target, wall.target_colors),
+        )
+
+
+@pytest.mark.parametrize("kind", ["legacy", "tensor"])
+def test_a_cloud_without_the_colours_that_are_asked_for_is_refused(wall, kind):
+    clouds = wall.clouds()
+    clouds[1].colors = o3d.utility.Vector3dVector()
+    if kind == "tensor":
+        clouds = [o3d.t.geometry.PointCloud.from_legacy(cloud) for cloud in clouds]
+    with pytest.raises(InputError, match=r"target\.colors: expected one for each of the points"):
+        registration_adaptive_gmm(*clouds, 0.1, np.eye(4), COLOURED)
+    with pytest.raises(InputError, match=r"source\.colors: expected one for each of the points as color is on"):
+        register_points(wall.source, wall.target, estimation_method=COLOURED)
+
+
+def test_lab_is_that_of_the_standard():
+    # Reference values of sRGB's corners (D65, two degrees), to the digits they are published with.
+    rgb = np.array([[1.0, 1.0, 1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    lab = [[100, 0, 0], [0, 0, 0], [53.24, 80.09, 67.20], [87.73, -86.18, 83.18], [32.30, 79.19, -107.86]]
+    np.testing.assert_allclose(lab_of(rgb), lab, rtol=0, atol=0.05)

@@ -27,6 +27,8 @@ def warm_up(*, paper_rules: bool = True) -> None:
     result.find_partners()
     result.assess()
     result.weigh()
+    colors = 0.5 + 0.5 * np.tanh(points)
+    register_points(points + 0.1, points, device="cpu", source_colors=colors, target_colors=colors)
     # A surface whose parts share a half only, which features have to tell.
     sphere = points / np.linalg.norm(points, axis=1, keepdims=True) * (1.0, 0.7, 0.4)
     left, right = sphere[sphere[:, 0] < 0.3], sphere[sphere[:, 0] > -0.3]

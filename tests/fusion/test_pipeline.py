@@ -8,6 +8,7 @@ from shared_data import ROOT, shared_data
 
 from adagmm_fusion.frames.rgbd import RGBDPair
 from adagmm_fusion.pairs.pipeline import register_pair, run_pairs
+from adagmm_fusion.pairs.record import pair_record
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.recordings.opening import open_recording
 from adagmm_o3d.errors import InputError
@@ -51,6 +52,19 @@ def test_an_outcome_says_where_it_came_from(outcome, pair):
     assert 25.0 < initial.rotation_deg < 35.0
     assert 1600 < len(outcome.source_cloud.points) < 2400
     assert outcome.seconds_clouds > 0.0 and outcome.seconds_registration > 0.0
+
+
+def test_colours_count_unless_they_are_told_not_to_or_say_nothing(outcome, pair):
+    assert outcome.estimate.color is not None
+    record = pair_record(outcome, FEW_POINTS)
+    assert len(record.color_deviations) == 3 and 0.0 < record.color_lying < 0.6
+    off = register_pair(pair, replace(FEW_POINTS, color="off"))
+    grey = replace(pair.source, color=np.full_like(pair.source.color, 90))
+    depth_only = register_pair(RGBDPair(pair.name, grey, pair.target, None, 0), replace(FEW_POINTS, start="geometry"))
+    for other in (off, depth_only):
+        assert other.estimate.color is None and pair_record(other, FEW_POINTS).color_lying is None
+    with pytest.raises(InputError, match=r"^color: expected one of auto, off, got 'on'"):
+        Settings(color="on")
 
 
 def test_overlap_is_the_share_of_source_points_with_a_partner(outcome):

@@ -15,6 +15,7 @@ SETTINGS_OPTIONS = {
     "max_depth_m": "--max-depth",
     "partner_distance_m": "--partner-distance",
     "start": "--start",
+    "color": "--color",
     "max_iteration": "--max-iteration",
     "device": "--device",
     "max_rotation_error_deg": "--max-rotation-error",
@@ -26,7 +27,7 @@ SETTINGS_OPTIONS = {
 def add(commands: argparse._SubParsersAction) -> None:
     from adagmm_fusion.clouds.sensor_models import sensor_models
     from adagmm_fusion.formats import FORMATS
-    from adagmm_fusion.pairs.settings import STARTS, Settings
+    from adagmm_fusion.pairs.settings import COLORS, STARTS, Settings
     from adagmm_fusion.rerun_arguments import add_rerun_arguments
 
     default = {field.name: field.default for field in fields(Settings)}
@@ -81,6 +82,7 @@ def add(commands: argparse._SubParsersAction) -> None:
     add_setting(method, "target_points", int, "N", "points per cloud when the grid is chosen")
     add_setting(method, "max_depth_m", float, "METRES", "measurements farther away are ignored")
     add_setting(method, "start", str, None, "from the colour images' features or the clouds alone", choices=STARTS)
+    add_setting(method, "color", str, None, "whether the points' colours count beside the geometry", choices=COLORS)
     add_setting(method, "max_iteration", int, "N", "EM iterations at most (default: the plugin's)")
     add_setting(method, "device", str, None, "where the kernels run", choices=("auto", "cpu", "cuda"))
     add_setting(success, "max_rotation_error_deg", float, "DEGREES", "with ground truth")

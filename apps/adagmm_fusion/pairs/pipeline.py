@@ -18,7 +18,7 @@ from adagmm_fusion.recordings.frame_sequence import Recording
 from adagmm_o3d import registration_adaptive_gmm
 from adagmm_o3d.errors import AdaGMMError
 from adagmm_o3d.evaluation import PoseErrors, overlap_ratio, pose_errors
-from adagmm_o3d.options import DeviceName
+from adagmm_o3d.options import DeviceName, TransformationEstimationForAdaptiveGMM
 from adagmm_o3d.result import PointRegistrationResult
 from adagmm_o3d.warm_up import warm_up
 
@@ -128,6 +128,7 @@ def register_pair(pair: RGBDPair, settings: Settings, callback: Callback | None 
             target,
             distance,
             init=None if features is None else features.T_target_source,
+            estimation_method=TransformationEstimationForAdaptiveGMM(color=_colors_count(source, target, settings)),
             criteria=_criteria(settings),
             device=settings.device,
             callback_after_iteration=callback,
@@ -183,6 +184,11 @@ def _evaluate(
             "errors": pose_errors(T_truth, result.details.transformation),
         }
     return Evaluation(distance, result.fitness, result.inlier_rmse, **known)
+
+
+def _colors_count(source: o3d.geometry.PointCloud, target: o3d.geometry.PointCloud, settings: Settings) -> bool:
+    """Whether the colours of both clouds say anything, and may: a depth camera's frames are of one colour."""
+    return settings.color == "auto" and all(np.ptp(np.asarray(cloud.colors)) > 0.0 for cloud in (source, target))
 
 
 def _criteria(settings: Settings) -> o3d.pipelines.registration.ICPConvergenceCriteria | None:

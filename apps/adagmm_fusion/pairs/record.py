@@ -23,6 +23,8 @@ class PairRecord:
     initial_rotation_error_deg, initial_translation_error_mm : those of the stage "identity", under their old names.
     overlap : share of source points with a target point within the partner distance; estimated_overlap : the share that
         the registration itself believes to have a partner.    sigma : as the result has it [m²]; sigma_mm2 : the same.
+    color_deviations, color_lying, color_gain, color_offset : what was learnt of the colours, see
+        `adagmm_o3d.result.ColorFit`; None where they did not count.
     """
 
     pair: str
@@ -54,6 +56,10 @@ class PairRecord:
     contradicted: float | None = None
     color_correlation: float | None = None
     estimated_overlap: float | None = None
+    color_deviations: tuple[float, ...] | None = None
+    color_lying: float | None = None
+    color_gain: tuple[float, ...] | None = None
+    color_offset: tuple[float, ...] | None = None
     sigma: float | None = None
     sigma_mm2: float | None = None
     iterations: int | None = None
@@ -103,6 +109,11 @@ def pair_record(outcome: PairOutcome, settings: Settings) -> PairRecord:
             "trustworthy": bool(estimate.trustworthy),
             "warnings": tuple(estimate.warnings),
         }
+    if estimate is not None and estimate.color is not None:
+        learnt = estimate.color
+        for name in ("deviations", "gain", "offset"):
+            known[f"color_{name}"] = tuple(float(value) for value in getattr(learnt, name))
+        known["color_lying"] = float(learnt.lying)
     if (evaluation := outcome.evaluation) is not None:
         known |= {
             "partner_distance_mm": _number(1000.0 * evaluation.partner_distance_m),

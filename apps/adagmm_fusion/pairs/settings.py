@@ -15,6 +15,7 @@ LIMITS = {
     "max_iteration": (1, 100_000),
 }
 STARTS = ("features", "geometry")
+COLORS = ("auto", "off")
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,7 @@ class Settings:
         None is twice the mean distance of neighbouring target points.
     start : "features": where the features of the two colour images agree on a pose, from there, else from the geometry
         alone; "geometry": always that.
+    color : "auto": the points' colours count beside the geometry, where both frames have any; "off": never.
     max_iteration : EM iterations at most; None is the plugin's own default.
     device : "auto", "cpu" or "cuda".
     max_rotation_error_deg, max_translation_error_mm : with ground truth, a pair succeeded up to these errors.
@@ -41,6 +43,7 @@ class Settings:
     max_depth_m: float = 5.0
     partner_distance_m: float | None = None
     start: str = "features"
+    color: str = "auto"
     max_iteration: int | None = None
     device: DeviceName = "auto"
     max_rotation_error_deg: float = 3.0
@@ -57,7 +60,8 @@ class Settings:
             least, most = LIMITS.get(name, (0.0, float("inf")))
             if value is not None and not least <= value <= most:
                 raise InputError(f"{name}: expected {least:g} to {most:g}, got {value:g}")
-        if self.start not in STARTS:
-            raise InputError(f"start: expected one of {', '.join(STARTS)}, got {self.start!r}")
+        for name, choices in (("start", STARTS), ("color", COLORS)):
+            if (value := getattr(self, name)) not in choices:
+                raise InputError(f"{name}: expected one of {', '.join(choices)}, got {value!r}")
         if not 0 <= self.min_overlap <= 1:
             raise InputError(f"min_overlap: expected a share between 0 and 1, got {self.min_overlap}")

@@ -22,6 +22,9 @@ from adagmm_o3d.options import DeviceName, TransformationEstimationForAdaptiveGM
 from adagmm_o3d.result import PointRegistrationResult
 from adagmm_o3d.warm_up import warm_up
 
+# Colours that differ by no more than a step of 8 bits are one; averages of one colour differ in their last digits.
+ONE_SHADE = 1.0 / 255.0
+
 Callback = Callable[[dict], None]
 
 
@@ -188,7 +191,8 @@ def _evaluate(
 
 def _colors_count(source: o3d.geometry.PointCloud, target: o3d.geometry.PointCloud, settings: Settings) -> bool:
     """Whether the colours of both clouds say anything, and may: a depth camera's frames are of one colour."""
-    return settings.color == "auto" and all(np.ptp(np.asarray(cloud.colors)) > 0.0 for cloud in (source, target))
+    varied = all(np.ptp(np.asarray(cloud.colors)) > ONE_SHADE for cloud in (source, target))
+    return settings.color == "auto" and varied
 
 
 def _criteria(settings: Settings) -> o3d.pipelines.registration.ICPConvergenceCriteria | None:

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
-from adagmm_o3d.arguments import real_number
+import numpy as np
+
+from adagmm_o3d.arguments import float_array, real_number
 from adagmm_o3d.errors import InputError, InputTypeError
 from adagmm_o3d.lazy_open3d import is_installed, o3d
 
@@ -84,6 +86,9 @@ class TransformationEstimationForAdaptiveGMM:
     color : also look at the colours, or intensities, of both clouds, which then have to have some: points whose colours
         are alike are likelier to be the same place. It helps where the shape leaves the pose open.
     relaxation : lengthens every step, 1 <= relaxation < 2; above 1 it saves iterations.
+    gravity : (3,) its direction in both clouds, of any length, up or down, e.g. (0, 0, 1) for scans that are level;
+        then only the turn about it and the translation are estimated. Clouds whose directions differ are to be turned
+        first, and `init` must keep it to half a degree. None: all turns.
 
     Raises
     ------
@@ -96,6 +101,7 @@ class TransformationEstimationForAdaptiveGMM:
     mutuality: float | None = None
     relaxation: float = 1.0
     color: bool = False
+    gravity: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         for name, choices in (("sigma_rule", get_args(SigmaRuleName)), ("start", get_args(StartName))):
@@ -109,6 +115,11 @@ class TransformationEstimationForAdaptiveGMM:
             raise InputError(f"mutuality: expected 0 <= mutuality <= 0.5 or None, got {self.mutuality:g}")
         if not 1.0 <= real_number("relaxation", self.relaxation) < 2.0:
             raise InputError(f"relaxation: expected 1 <= relaxation < 2, got {self.relaxation:g}")
+        if self.gravity is not None:
+            direction = float_array("gravity", self.gravity, (3,))
+            if not direction.any():
+                raise InputError("gravity: expected a direction (3,), got zero; leave it out where it is not known")
+            object.__setattr__(self, "gravity", tuple((direction / np.linalg.norm(direction)).tolist()))
 
 
 def check_estimation_method(value: Any) -> TransformationEstimationForAdaptiveGMM:

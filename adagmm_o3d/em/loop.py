@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.expectation import Expectation
-from adagmm_o3d.em.m_step import solve_step
+from adagmm_o3d.em.m_step import ANY_AXIS, solve_step
 from adagmm_o3d.options import Criteria
 from adagmm_o3d.result import Iteration, StopReason, stop_reason
 
@@ -28,12 +28,14 @@ def expectation_maximisation(
     dimension: int,
     *,
     relaxation: float = 1.0,
+    axis: Array = ANY_AXIS,
     level: int = 0,
     observe: Callable[[Iteration], None] | None = None,
 ) -> Outcome:
     """Move the source from `start` (4, 4) until pose and σ have settled or `max_iteration` is reached.
 
-    `relaxation` lengthens every step; `observe` is called after each iteration.
+    `relaxation` lengthens every step; `axis` (3,) is the only one to turn about, zero where any will do; `observe` is
+    called after each iteration.
     """
     pose = start
     iterations: list[Iteration] = []
@@ -46,7 +48,7 @@ def expectation_maximisation(
             return Outcome(pose, tuple(iterations), StopReason.NO_OVERLAP)
         # M-step: R, t that lower Eq. 5, the weights held.
         delta, determined, short = solve_step(
-            sums.total, dimension, relaxation=relaxation, relative_rmse=criteria.relative_rmse, sigma=sigma
+            sums.total, dimension, relaxation=relaxation, relative_rmse=criteria.relative_rmse, sigma=sigma, axis=axis
         )
         # σ: both mixtures shrink as the clouds come together.
         pose, done = expectation.advance(pose, delta, sums, short)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.expectation import MOST_UNMATCHED
+from adagmm_o3d.em.m_step import ANY_AXIS
 from adagmm_o3d.em.unmatched import COMPARED_SIGMA, world_density
 from adagmm_o3d.kernels.cpu import em as kernel
 from adagmm_o3d.kernels.cpu.ranges import run_in_ranges
@@ -45,6 +46,7 @@ class Limits:
     `options.Criteria`.   accelerated : whether steps are extrapolated. A long step may end in another optimum than the
     one that its start leads to, so not where ends are still compared.   bits : pairs are left out where their weight is
     below 2**-bits of what it would be without a distance between them.   relaxation : lengthens every step.
+    axis : (3,) the only one to turn about, zero where any will do.
     """
 
     floor: float
@@ -53,6 +55,7 @@ class Limits:
     accelerated: bool = False
     bits: float = COARSE_BITS
     relaxation: float = 1.0
+    axis: Array = field(default_factory=ANY_AXIS.copy)
 
 
 class End(NamedTuple):
@@ -133,6 +136,7 @@ def run_starts(
         limits.accelerated,
         limits.bits,
         compared_at,
+        limits.axis,
     )
     if colour is not None:
         # The kernels leave out by how much any two points' colours agree.

@@ -60,20 +60,25 @@ def fresh_memory(runs: int) -> NDArray[np.float64]:
 
 
 @njit(**EXACT_FLAGS)
-def solve(total, planar, delta):
+def solve(total, planar, axis, delta):
     """δ = -H⁻¹ g of `total` (layout.TOTAL_SUMS) on the free directions; whether the pairs determine all of these.
 
     Gauss and Jordan's elimination, the stiffest direction that is left each time. One that is not determined gets no
-    step.
+    step. `axis` (3,) is the only one to turn about, of unit length, or zero where any will do.
     """
     # In the plane z = 0 the turn about z and the shifts in x and y are free.
     n, first = (3, 2) if planar else (6, 0)
+    upright = axis[0] != 0.0 or axis[1] != 0.0 or axis[2] != 0.0
+    if upright:
+        n, first = 4, 2
     rows = np.empty((n, n + 1))
     for i in range(n):
         for j in range(i, n):
             rows[i, j] = total[HESSIAN + _packed_index(first + i, first + j)]
             rows[j, i] = rows[i, j]
         rows[i, n] = -total[GRADIENT + first + i]
+    if upright:
+        _turn_about(total, axis, rows)
     for i in range(TURN_AND_SHIFT):
         delta[i] = 0.0
     taken = np.zeros(n, np.bool_)
@@ -98,7 +103,26 @@ def solve(total, planar, delta):
             delta[first + i] = rows[i, n] / rows[i, i]
         else:
             determined = False
+    if upright:
+        turn = delta[2]
+        for i in range(3):
+            delta[i] = turn * axis[i]
     return determined
+
+
+@njit(**EXACT_FLAGS)
+def _turn_about(total, axis, rows):
+    """Make the first direction of `rows` (4, 5) the turn about `axis`; the others are the shifts."""
+    rows[0, 0], rows[0, 4] = 0.0, 0.0
+    for j in range(3):
+        rows[0, 1 + j] = 0.0
+    for i in range(3):
+        rows[0, 4] -= axis[i] * total[GRADIENT + i]
+        for j in range(3):
+            rows[0, 0] += axis[i] * axis[j] * total[HESSIAN + _packed_index(min(i, j), max(i, j))]
+            rows[0, 1 + j] += axis[i] * total[HESSIAN + _packed_index(i, 3 + j)]
+    for j in range(3):
+        rows[1 + j, 0] = rows[0, 1 + j]
 
 
 @njit(**EXACT_FLAGS)
@@ -108,10 +132,10 @@ def _packed_index(i, j):
 
 
 @njit(**EXACT_FLAGS)
-def m_step(total, planar, relaxation, relative_rmse, sigma, delta):
+def m_step(total, planar, axis, relaxation, relative_rmse, sigma, delta):
     """`solve`, the step made longer by `relaxation`; whether the pairs determine it, and whether it is a short one: its
     square no more than `relative_rmse` of σ."""
-    determined = solve(total, planar, delta)
+    determined = solve(total, planar, axis, delta)
     moved = 0.0
     for i in range(TURN_AND_SHIFT):
         delta[i] *= relaxation
@@ -183,9 +207,9 @@ def _build(stamp):
     """The functions as called from Python; `stamp` keeps their cache fresh."""
 
     @njit(**EXACT_KERNEL_FLAGS)
-    def call_m_step(total, planar, relaxation, relative_rmse, sigma, delta):
+    def call_m_step(total, planar, axis, relaxation, relative_rmse, sigma, delta):
         _ = stamp
-        return m_step(total, planar, relaxation, relative_rmse, sigma, delta)
+        return m_step(total, planar, axis, relaxation, relative_rmse, sigma, delta)
 
     @njit(**EXACT_KERNEL_FLAGS)
     def call_follow_pairs(total, delta, sigma, unmatched, rule, memory, step):

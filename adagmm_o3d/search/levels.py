@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from functools import cached_property
 
+from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.colour import ColourEstimate
+from adagmm_o3d.em.m_step import ANY_AXIS, turned_about
 from adagmm_o3d.em.runs import End, Limits, Start, joined, run_starts
 from adagmm_o3d.mixtures.merging import MergedMixture, count_certain, merge, sample
 from adagmm_o3d.mixtures.mixture import Mixture
@@ -17,12 +19,13 @@ Sides = tuple[MergedMixture, MergedMixture]
 class Levels:
     """Two normalised mixtures, as every level of a schedule looks at them.
 
+    axis : (3,) the only one to turn about, zero where any will do.
     small : whether the clouds are so small that all points decide; those flagged as outliers, which carry no weight, do
     not count.
     """
 
-    def __init__(self, source: Mixture, target: Mixture, schedule: Schedule) -> None:
-        self.source, self.target, self.schedule = source, target, schedule
+    def __init__(self, source: Mixture, target: Mixture, schedule: Schedule, axis: Array = ANY_AXIS) -> None:
+        self.source, self.target, self.schedule, self.axis = source, target, schedule, axis
         self._made: dict[tuple[bool, int, int], Sides] = {}
         self._certain = count_certain(source), count_certain(target)
         self.small = max(self._certain) <= schedule.small
@@ -50,7 +53,9 @@ class Levels:
 
     def run(self, level: Level, starts: list[Start], number: int, *, sides: Sides | None = None) -> list[End]:
         """Where the starts lead on a level; `number` is what the record of the iterations calls it."""
-        limits = Limits(level.floor, level.least_unmatched, level.relative_rmse)
+        limits = Limits(level.floor, level.least_unmatched, level.relative_rmse, axis=self.axis)
+        if self.axis.any():
+            starts = [start._replace(pose=turned_about(self.axis, start.pose)) for start in starts]
         source, target = sides or self.sides(level)
         colour = None
         if starts and source.colours is not None and target.colours is not None:

@@ -89,6 +89,7 @@ def refine(
             replace(criteria, max_iteration=most),
             levels.source.dimension,
             relaxation=relaxation,
+            axis=levels.axis,
             level=LEVEL,
             observe=observe,
         )
@@ -132,6 +133,7 @@ def _refine_compiled(
         accelerated=ACCELERATED,
         bits=CUT_BITS,
         relaxation=relaxation,
+        axis=levels.axis,
     )
     refined, left, memories = end, criteria.max_iteration, fresh_memory(1)
     while left > 0:

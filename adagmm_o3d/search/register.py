@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.expectation import AdaptiveExpectation
 from adagmm_o3d.em.loop import Outcome, expectation_maximisation
+from adagmm_o3d.em.m_step import ANY_AXIS, turned_about
 from adagmm_o3d.em.runs import End, inverse_end, inverse_of
 from adagmm_o3d.em.sigma_rules import Annealed, FigureTwo, NearestDistance, SigmaRule
 from adagmm_o3d.errors import InputError
@@ -34,12 +35,15 @@ from adagmm_o3d.trust.conclusion import conclude, lower
 from adagmm_o3d.trust.judge import JUDGED, Judge
 from adagmm_o3d.trust.partners import no_partners, partners_at
 from adagmm_o3d.trust.pose_covariance import Fit, uncertainty_out
+from adagmm_o3d.trust.upright import held_by_gravity
 
 # No more than a third of `max_iteration` is reported of the search.
 SEARCHING = 3
 # The refinement begins at a pose and σ of so many digits, so that rounding on the way there, which units and the order
 # of the clouds change, makes no difference to it.
 DIGITS = 9
+# A start may tilt gravity by so many degrees, which a rotation of few digits does.
+MOST_TILT = 0.5
 # The paper's wide mixtures converge slowly: their steps are short long before the end.
 SLOW = 0.01
 
@@ -62,6 +66,9 @@ def register_mixtures(
         raise InputError(f"init: expected a pose or 'global', got {init!r}")
     everywhere = isinstance(init, str)
     given = None if init is None or everywhere else _start_pose(init, normalisation, dimension)
+    axis = ANY_AXIS if method.gravity is None else np.array(method.gravity)
+    if method.gravity is not None:
+        given = _check_gravity(axis, given, dimension)
     if limits.max_iteration == 0:
         return _stay(moving, fixed, init, given, normalisation)
     ambiguous, assess = False, _unknown
@@ -70,9 +77,9 @@ def register_mixtures(
     if method.sigma_rule == "posterior":
         clouds = Condensed(moving), Condensed(fixed)
         sides = clouds[0].searched, clouds[1].searched
-        levels, seen_from = Levels(*sides, SCHEDULE), normalisation.points_in(*viewpoints)
+        levels, seen_from = Levels(*sides, SCHEDULE, axis), normalisation.points_in(*viewpoints)
         turned = comes_second(moving, fixed)
-        searched = Levels(*sides[::-1], SCHEDULE) if turned else levels
+        searched = Levels(*sides[::-1], SCHEDULE, axis) if turned else levels
         judged = (searched.source, searched.target, searched.sampled(JUDGED))
         judge = Deferred(lambda: Judge(*judged, seen_from[::-1] if turned else seen_from))
         identity = normalisation.pose_in(np.eye(4))
@@ -108,6 +115,8 @@ def register_mixtures(
         outcome, fit = refined.outcome, refined.fit
         if outcome.stop_reason is not StopReason.NO_OVERLAP:
             assess = partial(uncertainty_out, refined.pairs, refined.source, refined.target, refined.fit, normalisation)
+            if method.gravity is not None:
+                assess = partial(_assess_upright, assess, axis)
             weigh = partial(_weigh, judge, inverse_of(outcome.pose) if turned else outcome.pose, turned)
     else:
         if everywhere:
@@ -118,7 +127,7 @@ def register_mixtures(
         limits = replace(limits, relative_rmse=SLOW * limits.relative_rmse)
         expectation = AdaptiveExpectation(pairs, _sigma_rule(method, dimension), start)
         outcome = expectation_maximisation(
-            expectation, start, limits, dimension, relaxation=method.relaxation, observe=observe
+            expectation, start, limits, dimension, relaxation=method.relaxation, axis=axis, observe=observe
         )
     find_partners = partial(no_partners, moving)
     compare_colors: Callable[[], Array] | None = None
@@ -139,6 +148,10 @@ def register_mixtures(
         colour=None if fit is None else fit.colour,
         compare_colors=compare_colors,
     )
+
+
+def _assess_upright(assess: Callable[[], PoseUncertainty], axis: Array) -> PoseUncertainty:
+    return held_by_gravity(assess(), axis)
 
 
 def _weigh(judge: Deferred[Judge], pose: Array, turned: bool) -> Verdict:
@@ -221,6 +234,26 @@ def _start_pose(init: ArrayLike, normalisation: Normalisation, dimension: int) -
     pose[:dimension, :dimension] = project_to_rotation(rotation)
     pose[:dimension, 3] = translation
     return normalisation.pose_in(pose)
+
+
+def _check_gravity(axis: Array, given: Array | None, dimension: int) -> Array | None:
+    """The start made exactly upright, if one is given.
+
+    Raises
+    ------
+    InputError : clouds in the plane, or a start that tilts gravity.
+    """
+    if dimension == 2:
+        raise InputError("gravity: expected None for clouds in the plane, where all turns are about one axis")
+    if given is None:
+        return None
+    tilt = math.degrees(math.acos(min(1.0, float(axis @ given[:3, :3] @ axis))))
+    if tilt > MOST_TILT:
+        raise InputError(
+            f"init: expected a turn about gravity and a shift, as gravity is given, got one that tilts it {tilt:.2f}°; "
+            "turn the clouds upright first, or leave gravity out"
+        )
+    return turned_about(axis, given)
 
 
 def _sigma_rule(method: TransformationEstimationForAdaptiveGMM, dimension: int) -> SigmaRule:

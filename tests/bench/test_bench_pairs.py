@@ -225,7 +225,7 @@ def test_pairs_are_listed(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["--only", "weather"], "only: unknown weather; known are recordings, clouds, overlap, trust"),
+        (["--only", "weather"], "only: unknown weather; known are recordings, clouds, overlap, lidar, trust"),
         (["--only", ""], "only: expected at least one of recordings, clouds"),
         (
             ["--only", "clouds"],

@@ -43,7 +43,8 @@ def sums(hessian=None, gradient=None, weight=1.0, energy=1.0, matched=0.5):
 
 def step_of(hessian, gradient, dimension=3, relaxation=1.0, relative_rmse=1e-3, sigma=0.1):
     delta = np.full(6, np.nan)
-    determined, short = call_m_step(sums(hessian, gradient), dimension == 2, relaxation, relative_rmse, sigma, delta)
+    total, axis = sums(hessian, gradient), np.zeros(3)
+    determined, short = call_m_step(total, dimension == 2, axis, relaxation, relative_rmse, sigma, delta)
     return delta, determined, short
 
 

@@ -7,8 +7,8 @@ import open3d as o3d
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from lidar_scene import HEIGHT, Lidar, Street, drive, scan_pair
 
+from adagmm_bench.pairs.lidar_scene import HEIGHT, Lidar, Street, drive, scan_pair
 from adagmm_o3d import (
     estimate_lidar_covariances,
     estimate_surface_covariances,

@@ -3,10 +3,10 @@
 import numpy as np
 import open3d as o3d
 import pytest
-from lidar_scene import scan_pair
 from mixtures import random_pose
 from shapes import bumpy, move
 
+from adagmm_bench.pairs.lidar_scene import scan_pair
 from adagmm_o3d import estimate_surface_covariances, register_points
 from adagmm_o3d.evaluation import pose_errors
 from adagmm_o3d.mixtures import condensing

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from adagmm_o3d.kernels.cpu.acceleration import STATE, TURN_AND_SHIFT
 from adagmm_o3d.kernels.cpu.compiling import FLAGS, SERIAL_KERNEL_FLAGS, source_stamp
@@ -52,7 +53,7 @@ class RunLimits(NamedTuple):
     dimension : 2 or 3.   floor, least_unmatched, most_unmatched, accelerated : see `update.Rule`.   relative_rmse,
     relaxation : see `update.m_step`; a start is done when its step is short and σ has settled.   bits : how far a
     weight may fall before its pair is left out.   compared_at : the σ whose density of points without a partner the
-    likelihoods have in common.
+    likelihoods have in common.   axis : (3,) see `update.solve`.
     """
 
     dimension: int
@@ -64,6 +65,7 @@ class RunLimits(NamedTuple):
     accelerated: bool
     bits: float
     compared_at: float
+    axis: NDArray[np.float64]
 
 
 # Parts of their only callers: every compiled function that holds the loops over pairs takes seconds to compile.
@@ -141,7 +143,7 @@ def run_start(pose, start, source, hues, target, isotropic, world, limits, memor
             state = NO_OVERLAP
             continue
         leave_powers_of_two(total)
-        determined, short = m_step(total, planar, limits.relaxation, limits.relative_rmse, sigma, delta)
+        determined, short = m_step(total, planar, limits.axis, limits.relaxation, limits.relative_rmse, sigma, delta)
         history[iteration, HISTORY_SIGMA] = sigma
         history[iteration, HISTORY_ENERGY] = total[TOTAL_ENERGY] / total[TOTAL_WEIGHT]
         history[iteration, HISTORY_MATCHED] = total[TOTAL_MATCHED]

@@ -6,6 +6,7 @@ from adagmm_bench.methods import (  # noqa: F401  importing registers
     dense_clouds,
     fast_gicp_methods,
     kiss_matcher_methods,
+    lidar_scans,
     open3d_global,
     open3d_local,
     ours,

@@ -9,12 +9,22 @@ from typing import Protocol
 
 from adagmm_bench.methods import METHODS
 from adagmm_bench.pairs.consensus import judged_by_consensus
+from adagmm_bench.pairs.lidar import LIDAR, find_lidar_pairs, lidar_tables
 from adagmm_bench.pairs.made import TRUST
 from adagmm_bench.pairs.overlap import ANYWHERE, OVERLAP, ROOMS, find_overlap_pairs
 from adagmm_bench.pairs.problem import PairSource
 from adagmm_bench.pairs.public import CLOUDS, find_public_pairs
 from adagmm_bench.pairs.recorded import RECORDINGS, find_recorded_pairs
-from adagmm_bench.pairs.tables import ALL, by_group, curve_table, each_pair_table, error_table, found_table, trust_table
+from adagmm_bench.pairs.tables import (
+    ALL,
+    by_group,
+    curve_table,
+    each_pair_table,
+    error_table,
+    found_table,
+    short_name,
+    trust_table,
+)
 from adagmm_bench.pairs.trust import WRONG_START, find_trust_pairs
 
 CONSENSUS = "clouds, by consensus"
@@ -44,10 +54,12 @@ class Section:
 
 
 def methods_for(pair: PairSource, names: Sequence[str]) -> list[str]:
-    """The methods to run on a pair: with the settings for dense clouds where it is one, and told viewpoints only where
-    they are known.
+    """The methods to run on a pair: with the settings for dense clouds or scans where it is one of these, and told
+    viewpoints only where they are known.
     """
     facts = pair.facts()
+    if facts["section"] == LIDAR:
+        return [f"{name}-lidar" if f"{name}-lidar" in METHODS else name for name in names if _for_lidar(pair, name)]
     dense = facts["section"] in (RECORDINGS, CLOUDS) or facts["group"].startswith(ROOMS)
     return [
         f"{name}-dense" if dense and f"{name}-dense" in METHODS else name
@@ -96,6 +108,11 @@ def _curves(records: Sequence[dict], everything: Sequence[dict]) -> list[Table]:
     return [("by the share of common points", *curve_table(records))] if records else []
 
 
+def _lidar(records: Sequence[dict], everything: Sequence[dict]) -> list[Table]:
+    columns, rows, drift_columns, drifts = lidar_tables(records, short_name)
+    return [("errors", columns, rows), ("drift over the drive", drift_columns, drifts)] if rows else []
+
+
 def _trust(records: Sequence[dict], everything: Sequence[dict]) -> list[Table]:
     """Over the pairs of this section; where others were run, the last row is over those of all."""
     methods = list(dict.fromkeys(record["method"] for record in records))
@@ -109,6 +126,11 @@ def _trust(records: Sequence[dict], everything: Sequence[dict]) -> list[Table]:
             rows.append(["all sections of this run", *whole[-1][1:]])
         tables.append((f"what {method} knows", columns, rows))
     return tables
+
+
+def _for_lidar(pair: PairSource, name: str) -> bool:
+    """Those that are set for scans, and ours."""
+    return name == "adagmm" or f"{name}-lidar" in METHODS
 
 
 def _any_method(pair: PairSource, name: str) -> bool:
@@ -153,6 +175,7 @@ SECTIONS = {
         _by_start,
         _curves,
     ),
+    LIDAR: Section("LiDAR scans, errors against their truth", find_lidar_pairs, _for_lidar, _lidar),
     TRUST: Section(
         "what shares nothing, what is easily mistaken, and misleading starts",
         find_trust_pairs,

@@ -151,8 +151,8 @@ def error_table(
 
 
 def short_name(method: str) -> str:
-    """The name that both settings of a method share."""
-    return method.removesuffix("-dense")
+    """The name that all settings of a method share."""
+    return method.removesuffix("-dense").removesuffix("-lidar")
 
 
 def each_pair_table(records: Sequence[dict], methods: Sequence[str], scale: float) -> tuple[list[str], list[list]]:

@@ -11,6 +11,7 @@ from rich.console import Console
 from shared_data import ROOT
 
 from adagmm_fusion.errors import OutputError
+from adagmm_fusion.meshes.orientation import upright
 from adagmm_fusion.pairs.fusion import RigEstimate, fused_cloud, mean_pose, save_cloud
 from adagmm_fusion.pairs.pipeline import register_pair
 from adagmm_fusion.pairs.record import PairRecord, pair_record
@@ -34,7 +35,7 @@ GOOD = PairRecord(
     overlap=0.81,
     overlap_truth=0.80,
     sigma=2.5e-4,
-    sigma_mm2=250.0,
+    spread_mm=15.75,
     contradicted=0.02,
     iterations=42,
     seconds_registration=0.25,
@@ -78,7 +79,7 @@ def test_markdown_shows_every_pair_and_every_failure():
     lines = text.splitlines()
     rows = [line for line in lines if line.startswith("| ") and "_to_" in line]
     assert [row.split(" | ")[0] for row in rows] == ["| a_to_b", "| b_to_c", "| c_to_d", "| d_to_e"]
-    assert rows[0] == "| a_to_b | 0.0123 | 0.50 | 12.2 | 0.810 | 0.800 | 0.020 | 250.0 | 42 | 0.25 | ok |"
+    assert rows[0] == "| a_to_b | 0.0123 | 0.50 | 12.2 | 0.810 | 0.800 | 0.020 | 15.8 | 42 | 0.25 | ok |"
     assert rows[2].count("–") == 9 and rows[2].endswith("| failed |")
     assert rows[3].endswith("| ok (no ground truth) |")
     assert "- b_to_c: rotation error 9.50° is above 3°" in lines
@@ -155,7 +156,7 @@ def test_the_fused_cloud_holds_both_frames_in_the_targets_frame(outcome, tmp_pat
     assert 0.5 < inside.mean() < 0.95
     save_cloud(tmp_path / "cloud.ply", cloud)
     again = o3d.io.read_point_cloud(str(tmp_path / "cloud.ply"))
-    np.testing.assert_allclose(np.asarray(again.points), points, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(np.asarray(again.points), upright(points), rtol=0, atol=1e-5)
     np.testing.assert_allclose(np.asarray(again.colors), np.asarray(cloud.colors), rtol=0, atol=0.5 / 255 + 1e-6)
 
 

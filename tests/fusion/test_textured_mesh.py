@@ -14,6 +14,7 @@ import adagmm_fusion.meshes.texturing as texturing_module
 from adagmm_fusion.errors import OutputError
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame
 from adagmm_fusion.meshes.joined_grids import joined_surface, textured_moment
+from adagmm_fusion.meshes.orientation import upright
 from adagmm_fusion.meshes.textured_mesh import save_textured_mesh
 from adagmm_fusion.meshes.texturing import Texturing
 from adagmm_fusion.meshes.tsdf import TSDFVolume
@@ -155,7 +156,7 @@ def test_obj_reads_back_with_its_texture(moment, tmp_path):
     assert {path.suffix for path in paths} == {".obj", ".mtl", ".png"} and paths[-1].suffix == ".obj"
     assert set(paths) == set((tmp_path / "new").iterdir())
     read = o3d.io.read_triangle_mesh(str(paths[-1]), enable_post_processing=False)
-    points = np.asarray(read.vertices)[np.asarray(read.triangles)].mean(axis=1)
+    points = upright(np.asarray(read.vertices)[np.asarray(read.triangles)].mean(axis=1))
     uvs = np.asarray(read.triangle_uvs).reshape(-1, 3, 2).mean(axis=1)
     (texture,) = (np.asarray(image) for image in read.textures if not image.is_empty())
     colors = sampled(texture, uvs)

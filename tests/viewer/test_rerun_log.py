@@ -29,6 +29,8 @@ from adagmm_fusion.rerun_log import (
     log_refused_pair,
     open_stream,
 )
+from adagmm_fusion.rerun_log.ellipsoids import chosen_points
+from adagmm_fusion.rerun_log.eyes import ASPECT, FIELD_OF_VIEW, eye_pose
 from adagmm_fusion.rerun_log.headless_viewer import RERUN
 from adagmm_fusion.rerun_log.matches import projected
 from adagmm_o3d import registration_adaptive_gmm
@@ -153,7 +155,7 @@ def test_files_verify_and_leave_nothing_beside_them(one_pair, three_pairs):
 def test_entities_of_a_pair(one_pair):
     below_sensor = ("points", "covariances", "shape", "image", "image/rgb", "image/depth")
     expected = {f"/world/{sensor}/{entity}" for sensor in ("target", "source") for entity in below_sensor}
-    expected |= {f"/metrics/{m}" for m in ("energy", "sigma_mm2", "rotation_error_deg", "translation_error_mm")}
+    expected |= {f"/metrics/{m}" for m in ("energy", "spread_mm", "rotation_error_deg", "translation_error_mm")}
     expected |= {f"/world/{w}" for w in ("target", "source", "initial/source", "initial/source/shape")}
     expected |= {f"/world/{w}" for w in ("truth/source", "truth/source/image", "initial/source/image", "difference")}
     expected |= {
@@ -164,7 +166,7 @@ def test_entities_of_a_pair(one_pair):
         "/world/target/image/checkerboard",
     }
     expected |= {"/report", "/log", "/guide", "/matches/images", "/diagnostics/residual_histogram"}
-    expected |= {"/world/recorded/source/shape", "/log10/sigma_mm2", "/log10/stages/rotation_error_deg/start"}
+    expected |= {"/world/recorded/source/shape", "/log10/spread_mm", "/log10/stages/rotation_error_deg/start"}
     assert expected <= set(RrdReader(one_pair).store().schema().entity_paths())
 
 
@@ -201,7 +203,9 @@ def test_every_layer_has_a_color_for_every_point(one_pair):
 
 def test_curves(one_pair):
     estimate = known_estimate()
-    for entity, expected in (("energy", estimate.energies), ("sigma_mm2", 1e6 * estimate.sigmas)):
+    variance = np.median(np.trace(np.asarray(room_clouds()[0].covariances), axis1=1, axis2=2) / 3.0)
+    spreads = 1000.0 * np.sqrt(variance * estimate.sigmas)
+    for entity, expected in (("energy", estimate.energies), ("spread_mm", spreads)):
         curve = rows(one_pair, f"metrics/{entity}", "Scalars:scalars", "iteration")
         np.testing.assert_array_equal(curve.times, np.arange(1, ITERATIONS + 1))
         np.testing.assert_allclose(np.ravel(curve.values), expected, rtol=1e-12, atol=0.0)
@@ -209,8 +213,8 @@ def test_curves(one_pair):
     np.testing.assert_array_equal(degrees.times, np.arange(ITERATIONS + 1))
     np.testing.assert_allclose(np.ravel(degrees.values), np.linspace(15.0, 0.0, ITERATIONS + 1), rtol=1e-6, atol=1e-5)
     millimetres = np.ravel(rows(one_pair, "metrics/translation_error_mm", "Scalars:scalars", "iteration").values)
-    exponents = rows(one_pair, "log10/sigma_mm2", "Scalars:scalars", "iteration")
-    np.testing.assert_allclose(np.ravel(exponents.values), np.log10(1e6 * estimate.sigmas), rtol=1e-12, atol=0.0)
+    exponents = rows(one_pair, "log10/spread_mm", "Scalars:scalars", "iteration")
+    np.testing.assert_allclose(np.ravel(exponents.values), np.log10(spreads), rtol=1e-12, atol=0.0)
     start = 1000.0 * np.linalg.norm(room_pair().T_target_source[:3, 3])
     np.testing.assert_allclose(millimetres, np.linspace(start, 0.0, ITERATIONS + 1), rtol=1e-6, atol=1e-6)
 
@@ -232,9 +236,9 @@ def test_ellipsoids_shrink_with_sigma(one_pair):
     first, last = (np.array(sizes.values[i]) for i in (0, -1))
     sigmas = known_estimate().sigmas
     np.testing.assert_allclose(first / last, np.sqrt(sigmas[0] / sigmas[-1]), rtol=1e-5, atol=0.0)
-    # Kinect covariances, Eq. 6, lie between exp(0) and exp(w1 + w2 d) for points up to d metres away.
-    first /= 3.0  # standard deviations
-    assert np.sqrt(sigmas[0]) <= first.min() and first.max() <= np.sqrt(sigmas[0] * np.exp(1.67 + 0.28 * 6.0))
+    source, _ = room_clouds()
+    variances = np.linalg.eigvalsh(np.asarray(source.covariances)[chosen_points(source)])
+    np.testing.assert_allclose(first, 3.0 * np.sqrt(sigmas[0] * variances), rtol=1e-4, atol=1e-9)
 
 
 def test_the_fused_mesh_carries_its_texture(one_pair):
@@ -498,10 +502,21 @@ def test_a_file_that_cannot_be_written_is_named(tmp_path):
         pass
 
 
-def test_eye_looks_at_what_the_target_saw():
+def test_eye_looks_at_what_there_is():
     target = np.asarray(room_clouds()[1].points)
-    for eye in (Eye.behind(target), Eye.around(target)):
-        towards = np.array(eye.look_target) - np.array(eye.position)
-        directions = target - np.array(eye.position)
-        cosines = directions @ towards / np.linalg.norm(directions, axis=1) / np.linalg.norm(towards)
-        assert np.mean(cosines > np.cos(np.radians(35.0))) > 0.95
+    eye = Eye.around(target)
+    towards = np.array(eye.look_target) - np.array(eye.position)
+    directions = target - np.array(eye.position)
+    cosines = directions @ towards / np.linalg.norm(directions, axis=1) / np.linalg.norm(towards)
+    assert np.mean(cosines > np.cos(np.radians(35.0))) > 0.95
+
+
+@pytest.mark.parametrize("off", [(0.0, 0.0, 0.0), (6.0, -3.0, 2.0), (0.0, 0.0, -9.0)])
+def test_the_eye_of_a_pair_sees_a_source_that_flew_off(off):
+    source, target = (np.asarray(cloud.points) for cloud in room_clouds())
+    clouds = [target, source + off]
+    T = eye_pose(clouds)
+    for cloud in clouds:
+        x, y, z = ((cloud - T[:3, 3]) @ T[:3, :3]).T
+        inside = (z > 0) & (np.abs(y) < np.tan(0.5 * FIELD_OF_VIEW) * z)
+        assert np.mean(inside & (np.abs(x) < ASPECT * np.tan(0.5 * FIELD_OF_VIEW) * z)) > 0.85

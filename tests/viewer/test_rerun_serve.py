@@ -24,14 +24,12 @@ SUPPORT = Path(__file__).parents[1] / "support"
 BROWSER_SECONDS = 300.0
 SERVE = """
 import argparse
-import numpy as np
 from registered_scene import known_estimate, room_clouds, room_pair
-from adagmm_fusion.rerun_log import Eye, add_rerun_arguments, dashboard, log_pair, open_stream
+from adagmm_fusion.rerun_log import add_rerun_arguments, dashboard, log_pair, open_stream
 
 parser = argparse.ArgumentParser()
 add_rerun_arguments(parser)
-eye = Eye.behind(np.asarray(room_clouds()[1].points))
-with open_stream(parser.parse_args(["--serve"]), "room", dashboard(eye=eye)) as rec:
+with open_stream(parser.parse_args(["--serve"]), "room", dashboard()) as rec:
     log_pair(rec, room_pair(), *room_clouds(), known_estimate())
 """
 

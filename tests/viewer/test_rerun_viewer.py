@@ -10,7 +10,6 @@ from viewer import complaints, eventually, needs_viewer, screenshot
 
 from adagmm_fusion.pairs.record import PairRecord
 from adagmm_fusion.rerun_log import (
-    Eye,
     add_rerun_arguments,
     dashboard,
     log_pair,
@@ -29,8 +28,7 @@ IDENTITY, BEFORE, AFTER = "Identity: target blue", "Start", "End"
 def save(path, log, **blueprint):
     parser = argparse.ArgumentParser()
     add_rerun_arguments(parser)
-    eye = Eye.behind(np.asarray(room_clouds()[1].points))
-    with open_stream(parser.parse_args(["--save", str(path)]), "room", dashboard(eye=eye, **blueprint)) as rec:
+    with open_stream(parser.parse_args(["--save", str(path)]), "room", dashboard(**blueprint)) as rec:
         log(rec)
     return path
 

@@ -9,27 +9,26 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 
 from adagmm_fusion.commands.progress import progress
 from adagmm_fusion.errors import one_line
 from adagmm_fusion.files.atomic_file import check_output_file
 from adagmm_fusion.files.output_folder import exclusive
+from adagmm_fusion.files.stale_results import remove_results_of_report
 from adagmm_fusion.frames.rgbd import RGBDPair
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh, save_textured_mesh
 from adagmm_fusion.pairs.fusion import RigEstimate, fused_cloud, fused_mesh, save_cloud
 from adagmm_fusion.pairs.pipeline import PairOutcome, compile_kernels, run_pairs
 from adagmm_fusion.pairs.plausibility import recording_warnings
 from adagmm_fusion.pairs.record import PairRecord, pair_record
-from adagmm_fusion.pairs.report import Report, terminal_table, write_report
+from adagmm_fusion.pairs.report import SCHEMA, Report, terminal_table, write_report
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.processes.interruption import exit_code
 from adagmm_fusion.processes.terminal import printable
 from adagmm_fusion.recordings.frame_sequence import Recording
 from adagmm_fusion.recordings.opening import open_recording
 from adagmm_fusion.rerun_log import (
-    Eye,
     Limits,
     Progress,
     check_destination,
@@ -39,7 +38,6 @@ from adagmm_fusion.rerun_log import (
     log_recording_summary,
     log_refused_pair,
     open_stream,
-    send_blueprint,
 )
 from adagmm_fusion.rigs.rig import save_rig
 from adagmm_o3d.errors import InputError
@@ -76,6 +74,7 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
         stack.enter_context(exclusive(folder))
         for name in ("report.md", "report.json", "rig.yaml"):
             check_output_file(folder / name)
+        remove_results_of_report(folder, SCHEMA)
         viewer = None if args.no_rerun else stack.enter_context(_viewer(args, recording, settings, len(indices)))
         display = stack.enter_context(progress())
         task = display.add_task("compiling kernels", total=len(indices))
@@ -178,7 +177,7 @@ class _Viewer:
     def __init__(self, stream: Any, settings: Settings, pair_count: int) -> None:
         self._stream, self._many = stream, pair_count > 1
         self._limits = Limits(settings.max_rotation_error_deg, settings.max_translation_error_mm)
-        self._next_frame, self._em_step, self._has_eye = 0, 0, False
+        self._next_frame, self._em_step = 0, 0
         self._before: RGBDPair | None = None
         self._pair_count, self._began, self._summarized = pair_count, time.monotonic(), 0
 
@@ -197,10 +196,6 @@ class _Viewer:
             self._em_step = log_refused_pair(self._stream, outcome.pair_name, outcome.reason, **shown_as)
             return
         self._before = outcome.pair
-        if not self._has_eye:
-            self._has_eye = True
-            eye = Eye.behind(np.asarray(outcome.target_cloud.points))
-            send_blueprint(self._stream, many_pairs=self._many, eye=eye)
         self._em_step = log_pair(
             self._stream,
             outcome.pair,

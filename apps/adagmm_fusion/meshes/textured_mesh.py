@@ -11,6 +11,7 @@ import open3d as o3d
 from adagmm_fusion.errors import OutputError
 from adagmm_fusion.files.atomic_file import check_output_file, replacing
 from adagmm_fusion.meshes.glb_file import textured_glb
+from adagmm_fusion.meshes.orientation import upright
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +31,7 @@ class TexturedMesh:
 
 
 def save_textured_mesh(path: Path, mesh: TexturedMesh) -> list[Path]:
-    """Write a .glb file with the texture in it, or an .obj file with .mtl and .png beside it; returns what there is.
+    """Write a .glb file with the texture in it, or an .obj file with .mtl and .png beside it, y up; returns what there is.
 
     Raises
     ------
@@ -48,9 +49,9 @@ def save_textured_mesh(path: Path, mesh: TexturedMesh) -> list[Path]:
 
 def _save_obj(path: Path, mesh: TexturedMesh) -> list[Path]:
     legacy = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(mesh.vertices), o3d.utility.Vector3iVector(mesh.triangles)
+        o3d.utility.Vector3dVector(upright(mesh.vertices)), o3d.utility.Vector3iVector(mesh.triangles)
     )
-    legacy.vertex_normals = o3d.utility.Vector3dVector(mesh.normals)
+    legacy.vertex_normals = o3d.utility.Vector3dVector(upright(mesh.normals))
     legacy.triangle_uvs = o3d.utility.Vector2dVector(mesh.uvs[mesh.triangles.ravel()])
     legacy.triangle_material_ids = o3d.utility.IntVector(np.zeros(len(mesh.triangles), dtype=np.int32))
     legacy.textures = [o3d.geometry.Image(np.ascontiguousarray(mesh.texture))]

@@ -10,6 +10,7 @@ from adagmm_fusion.files.atomic_file import replacing
 from adagmm_fusion.files.ply_file import ply_bytes
 from adagmm_fusion.frames.rgbd import RGBDFrame
 from adagmm_fusion.meshes.glb_file import colored_glb
+from adagmm_fusion.meshes.orientation import upright
 from adagmm_fusion.meshes.pinhole_images import pinhole_images
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.lie import se_inverse
@@ -100,7 +101,7 @@ class TSDFVolume:
 
 
 def save_mesh(path: Path, mesh: o3d.geometry.TriangleMesh) -> None:
-    """Write a .ply or .glb file. Raises OutputError if it cannot be written, or has another ending."""
+    """Write a .ply or .glb file, y up. Raises OutputError if it cannot be written, or has another ending."""
     path = Path(path)
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise OutputError(f"{path}: expected a name ending in {' or '.join(MESH_SUFFIXES)}")
@@ -111,4 +112,4 @@ def save_mesh(path: Path, mesh: o3d.geometry.TriangleMesh) -> None:
         if path.suffix.lower() == ".glb":
             temporary.write_bytes(colored_glb(vertices, normals, colors, triangles))
         else:
-            temporary.write_bytes(ply_bytes(vertices, colors, normals, triangles))
+            temporary.write_bytes(ply_bytes(upright(vertices), colors, upright(normals), triangles))

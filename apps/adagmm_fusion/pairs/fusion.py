@@ -10,6 +10,7 @@ from adagmm_fusion.files.atomic_file import replacing
 from adagmm_fusion.files.ply_file import ply_bytes
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDPair
 from adagmm_fusion.meshes.joined_grids import textured_moment
+from adagmm_fusion.meshes.orientation import upright
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh
 from adagmm_fusion.pairs.pipeline import PairOutcome
 from adagmm_fusion.rigs.rig import Rig, SensorCalibration
@@ -43,9 +44,9 @@ def fused_mesh(pair: RGBDPair, T_target_source: np.ndarray, *, max_depth_m: floa
 
 
 def save_cloud(path: Path, cloud: o3d.geometry.PointCloud) -> None:
-    """Write a binary .ply with float32 positions and 8-bit colours. Raises OutputError if it cannot be written."""
+    """Write a binary .ply, y up, float32 positions and 8-bit colours. Raises OutputError if it cannot be written."""
     with replacing(path) as temporary:
-        temporary.write_bytes(ply_bytes(np.asarray(cloud.points), np.asarray(cloud.colors)))
+        temporary.write_bytes(ply_bytes(upright(cloud.points), np.asarray(cloud.colors)))
 
 
 class RigEstimate:

@@ -10,6 +10,7 @@ from adagmm_fusion.pairs.diagnosis import diagnosis
 from adagmm_fusion.pairs.evidence import evidence_of
 from adagmm_fusion.pairs.pipeline import PairOutcome
 from adagmm_fusion.pairs.settings import Settings
+from adagmm_fusion.pairs.spread import point_variance, spread_mm
 from adagmm_fusion.pairs.stages import Stage, stages_of, worse_than_start
 
 
@@ -22,7 +23,8 @@ class PairRecord:
     worse_than_start : the end is clearly farther from the ground truth than the start was.
     initial_rotation_error_deg, initial_translation_error_mm : those of the stage "identity", under their old names.
     overlap : share of source points with a target point within the partner distance; estimated_overlap : the share that
-        the registration itself believes to have a partner.    sigma : as the result has it [m²]; sigma_mm2 : the same.
+        the registration itself believes to have a partner.    sigma : the result's, in the unit that the covariances
+        leave to it; spread_mm : standard deviation of a point at the end.
     color_deviations, color_lying, color_gain, color_offset : what was learnt of the colours, see
         `adagmm_o3d.result.ColorFit`; None where they did not count.
     """
@@ -61,7 +63,7 @@ class PairRecord:
     color_gain: tuple[float, ...] | None = None
     color_offset: tuple[float, ...] | None = None
     sigma: float | None = None
-    sigma_mm2: float | None = None
+    spread_mm: float | None = None
     iterations: int | None = None
     stop_reason: str | None = None
     converged: bool | None = None
@@ -102,7 +104,7 @@ def pair_record(outcome: PairOutcome, settings: Settings) -> PairRecord:
             "feature_matches": None if outcome.features is None else outcome.features.matches,
             "estimated_overlap": _number(estimate.overlap),
             "sigma": _number(estimate.sigma),
-            "sigma_mm2": _number(1e6 * estimate.sigma),
+            "spread_mm": _spread_mm(outcome),
             "iterations": int(estimate.iterations),
             "stop_reason": str(estimate.stop_reason),
             "converged": bool(estimate.converged),
@@ -149,6 +151,13 @@ def _stages(outcome: PairOutcome) -> tuple[Stage, ...]:
     distance_m = outcome.evaluation.partner_distance_m
     clouds = outcome.source_cloud, outcome.target_cloud
     return stages_of(outcome.pair, *clouds, outcome.estimate, distance_m, outcome.features)
+
+
+def _spread_mm(outcome: PairOutcome) -> float | None:
+    variance = None if outcome.source_cloud is None else point_variance(outcome.source_cloud)
+    if variance is None or outcome.estimate is None:
+        return None
+    return _number(float(spread_mm(np.array(outcome.estimate.sigma), variance)))
 
 
 def _number(value: float | None) -> float | None:

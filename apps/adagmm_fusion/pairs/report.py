@@ -35,7 +35,7 @@ COLUMNS = (
     "overlap",
     "true overlap",
     "contradicted",
-    "σ [mm²]",
+    "spread [mm]",
     "iterations",
     "time [s]",
     "verdict",
@@ -49,8 +49,8 @@ NOTES = (
     "Errors are against the ground truth of the recording or its rig. Overlap is the share of source points with a "
     "target point nearer than the partner distance, at the estimate and at the ground truth; where the first is not "
     "smaller, the estimate explains the clouds as well as the ground truth does. Contradicted is the share of source "
-    "points in front of what the target's depth image shows. σ scales the covariances at the end. Time is that of the "
-    "registration alone, on clouds that are there."
+    "points in front of what the target's depth image shows. Spread is the standard deviation of a point at the end. "
+    "Time is that of the registration alone, on clouds that are there."
 )
 STAGE_NOTES = (
     "The identity is the source as recorded; the start is where the registration began, by the features of the colour "
@@ -205,7 +205,7 @@ def _row(record: PairRecord) -> list[str]:
         _cell(record.overlap, ".3f"),
         _cell(record.overlap_truth, ".3f"),
         _cell(record.contradicted, ".3f"),
-        _cell(record.sigma_mm2, ".1f"),
+        _cell(record.spread_mm, ".1f"),
         _cell(record.iterations, "d"),
         _cell(record.seconds_registration, ".2f"),
         verdict,

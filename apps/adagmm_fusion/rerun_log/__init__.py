@@ -15,7 +15,7 @@ and for a script, which gets before, after, every iteration and the curves:
 """
 
 from adagmm_fusion.rerun_arguments import add_rerun_arguments
-from adagmm_fusion.rerun_log.blueprint import dashboard, script_dashboard, send_blueprint
+from adagmm_fusion.rerun_log.blueprint import dashboard, script_dashboard
 from adagmm_fusion.rerun_log.fused_recording import fused_blueprint, log_fused_recording
 from adagmm_fusion.rerun_log.iterations import log_estimate_iterations
 from adagmm_fusion.rerun_log.pair import log_pair, log_refused_pair
@@ -45,5 +45,4 @@ __all__ = [
     "log_refused_pair",
     "open_stream",
     "script_dashboard",
-    "send_blueprint",
 ]

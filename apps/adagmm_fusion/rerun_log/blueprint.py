@@ -2,14 +2,13 @@
 
 from collections.abc import Mapping
 
-import rerun as rr
 import rerun.blueprint as rrb
 
 from adagmm_fusion.rerun_log import entities
 from adagmm_fusion.rerun_log.clouds import DIMMED, OVERLAP, RESIDUAL_MM, SHAPE, WEIGHT_SHARE
 from adagmm_fusion.rerun_log.entities import INITIAL_SOURCE, RECORDED_SOURCE, SOURCE, TARGET, TRUE_SOURCE
 from adagmm_fusion.rerun_log.legends import LEGEND_SIZE
-from adagmm_fusion.rerun_log.views import DEFAULT_EYE, Eye, bars, curve, image, legend, scene
+from adagmm_fusion.rerun_log.views import Eye, bars, curve, image, legend, scene
 
 SENSORS = (TARGET, SOURCE, INITIAL_SOURCE, TRUE_SOURCE)
 STAGES = {
@@ -22,19 +21,19 @@ MARKS = (entities.DIFFERENCE, f"{entities.DIFFERENCE}/label", entities.UNOBSERVA
 RESULT = dict.fromkeys((entities.FUSED, *(sensor.image for sensor in SENSORS), *MARKS))
 
 
-def dashboard(*, many_pairs: bool = False, eye: Eye = DEFAULT_EYE, page: str | None = None) -> rrb.Blueprint:
+def dashboard(*, many_pairs: bool = False, page: str | None = None) -> rrb.Blueprint:
     """The blueprint of a recording of one pair, or of many, which opens on the summary page.
 
     page : "Summary", "Pair", "Why" or "Guide", to open on another page than the first.
     """
-    pages = [_overview(eye), _why_page(eye), _guide_page()]
+    pages = [_overview(), _why_page(), _guide_page()]
     if many_pairs:
         pages.insert(0, _summary_page())
     tabs = rrb.Tabs(*pages, active_tab=0 if page is None else [p.name for p in pages].index(page))
     return _blueprint(tabs, entities.FRAME if many_pairs else entities.ITERATION)
 
 
-def script_dashboard(*, eye: Eye = DEFAULT_EYE, with_truth: bool = False) -> rrb.Blueprint:
+def script_dashboard(*, eye: Eye, with_truth: bool = False) -> rrb.Blueprint:
     """The blueprint for two clouds from a script, without cameras: before, after and the curves."""
     curves = [curve("Energy", entities.ENERGY), curve("σ", entities.SIGMA)]
     if with_truth:
@@ -60,14 +59,9 @@ def _blueprint(body: rrb.Container, timeline: str) -> rrb.Blueprint:
     )
 
 
-def send_blueprint(rec: rr.RecordingStream, *, many_pairs: bool = False, eye: Eye = DEFAULT_EYE) -> None:
-    """Make the dashboard the recording's active blueprint; a saved file then opens with it."""
-    rec.send_blueprint(dashboard(many_pairs=many_pairs, eye=eye))
-
-
-def _scenes_of_stages(eye: Eye) -> rrb.Horizontal:
+def _scenes_of_stages() -> rrb.Horizontal:
     return rrb.Horizontal(
-        *(scene(name, dict.fromkeys((TARGET.shape, sensor.shape)), eye) for name, sensor in STAGES.items())
+        *(scene(name, dict.fromkeys((TARGET.shape, sensor.shape)), entities.EYE) for name, sensor in STAGES.items())
     )
 
 
@@ -75,15 +69,15 @@ def _before_and_after(before: Mapping[str, str | None], after: Mapping[str, str 
     return rrb.Horizontal(scene("Before: target blue, source orange", before, eye), scene("After", after, eye))
 
 
-def _overview(eye: Eye) -> rrb.Horizontal:
-    curves = [curve("Energy", entities.ENERGY), curve("σ mm², log₁₀", entities.log10_of(entities.SIGMA_MM2))]
+def _overview() -> rrb.Horizontal:
+    curves = [curve("Energy", entities.ENERGY), curve("Spread mm, log₁₀", entities.log10_of(entities.SPREAD_MM))]
     curves += [error_curve("° off, log₁₀", entities.ROTATION_ERROR_DEG)]
     curves += [error_curve("mm off, log₁₀", entities.TRANSLATION_ERROR_MM)]
     scenes = rrb.Vertical(
-        _scenes_of_stages(eye),
+        _scenes_of_stages(),
         rrb.Horizontal(
-            scene("Result: cameras truth green, estimate orange, start blue", RESULT, eye.with_sensors()),
-            scene("Covariances σ·Σ, three standard deviations", COVARIANCES, eye),
+            scene("Result: cameras truth green, estimate orange, start blue", RESULT, entities.EYE_WITH_SENSORS),
+            scene("Covariances σ·Σ, three standard deviations", COVARIANCES, entities.EYE),
         ),
         rrb.Horizontal(*curves),
         row_shares=[5, 5, 3],
@@ -99,7 +93,7 @@ def error_curve(name: str, metric: str, *, with_iterations: bool = True, legend:
     return curve(name, *contents, legend=legend)
 
 
-def _why_page(eye: Eye) -> rrb.Vertical:
+def _why_page() -> rrb.Vertical:
     layers = (
         ("Who pulls: share of the pair weights", WEIGHT_SHARE, entities.WEIGHT_LEGEND),
         ("How far off: residual", RESIDUAL_MM, entities.RESIDUAL_LEGEND),
@@ -107,7 +101,7 @@ def _why_page(eye: Eye) -> rrb.Vertical:
     )
     columns = [
         rrb.Vertical(
-            scene(name, {TARGET.points: DIMMED, SOURCE.points: layer, entities.UNOBSERVABLE: None}, eye),
+            scene(name, {TARGET.points: DIMMED, SOURCE.points: layer, entities.UNOBSERVABLE: None}, entities.EYE),
             legend(legend_entity, LEGEND_SIZE),
             row_shares=[7, 1],
         )

@@ -7,6 +7,7 @@
     /world/initial/source     where the registration started
     /world/truth/source       where the calibration puts it
     /world/fused              the surface of all sensors at the estimate, textured
+    /world/eye                from where the views look
     /world/ways/<sensor>      where each frame of a whole recording was taken
 
 A sensor's own data lies below it, in its own frame, and never moves: only the sensor's transform does.
@@ -21,6 +22,8 @@ TRUTH = f"{WORLD}/truth"
 FUSED = f"{WORLD}/fused"
 WAYS = f"{WORLD}/ways"
 DIFFERENCE = f"{WORLD}/difference"
+EYE = f"{WORLD}/eye"
+EYE_WITH_SENSORS = f"{WORLD}/eye_with_sensors"
 UNOBSERVABLE = f"{WORLD}/unobservable"
 
 METRICS = "metrics"
@@ -30,7 +33,7 @@ ROTATION_ERROR_DEG = f"{METRICS}/rotation_error_deg"
 TRANSLATION_ERROR_MM = f"{METRICS}/translation_error_mm"
 FITNESS = f"{METRICS}/fitness"
 INLIER_RMSE = f"{METRICS}/inlier_rmse"
-SIGMA_MM2 = f"{METRICS}/sigma_mm2"
+SPREAD_MM = f"{METRICS}/spread_mm"
 # The viewer has no logarithmic axis: what is shown on one is logged as its decadic logarithm as well.
 LOG10 = "log10"
 STAGES = f"{LOG10}/stages"

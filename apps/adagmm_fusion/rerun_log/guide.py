@@ -20,7 +20,7 @@ Red is bad: a failed pair, or one that ended worse than it started.
 `recorded at` and `recorded after` are the sensor's own time stamps where the recording has them. The marker in
 the plots is where you are.
 
-**Plots.** Errors and σ stand on a logarithmic axis: 0 is 1° or 1 mm, 1 is ten, −1 a tenth.
+**Plots.** Errors and spread stand on a logarithmic axis: 0 is 1° or 1 mm, 1 is ten, −1 a tenth.
 
 **Words.**
 
@@ -30,7 +30,8 @@ the plots is where you are.
 - *colour*: correlation of the partners' brightness; 0.6 and more at right poses, about 0 at wrong ones;
   exposure and white balance do not change it
 - *partners it believes in*: the registration's own estimate, without regard to the partner distance
-- σ: scale of the mixtures; σ·Σ is a point's covariance. Ellipsoids are three standard deviations
+- *spread*: standard deviation of a point, as the registration takes it; it shrinks as the clouds come together.
+  Ellipsoids are three standard deviations
 
 **Points.** Click on one: the panel on the right (top right button) tells its weight, residual, partner and
 variance. Features in the images tell how many pixels the end is off at them.

@@ -3,6 +3,7 @@
 import numpy as np
 import rerun as rr
 
+from adagmm_fusion.pairs.spread import spread_mm
 from adagmm_fusion.rerun_log import entities
 from adagmm_fusion.rerun_log.when import When
 from adagmm_o3d.result import PointRegistrationResult
@@ -10,7 +11,7 @@ from adagmm_o3d.result import PointRegistrationResult
 CURVES = {
     entities.ENERGY: ("energy", (90, 160, 255)),
     entities.SIGMA: ("σ [unit²]", (200, 120, 255)),
-    entities.SIGMA_MM2: ("σ [mm²]", (200, 120, 255)),
+    entities.SPREAD_MM: ("spread [mm]", (200, 120, 255)),
     entities.ROTATION_ERROR_DEG: ("rotation error [°]", (255, 150, 60)),
     entities.TRANSLATION_ERROR_MM: ("translation error [mm]", (90, 200, 120)),
     entities.FITNESS: ("fitness", (120, 220, 220)),
@@ -18,10 +19,9 @@ CURVES = {
 }
 
 
-LOGARITHMIC = (entities.SIGMA_MM2, entities.ROTATION_ERROR_DEG, entities.TRANSLATION_ERROR_MM)
+LOGARITHMIC = (entities.SPREAD_MM, entities.ROTATION_ERROR_DEG, entities.TRANSLATION_ERROR_MM)
 # What is smaller is shown as this: a pose that is exactly right has no logarithm.
 LEAST_SHOWN = 1e-3
-SQUARE_MILLIMETRES = 1e6
 
 
 def log_curve_styles(rec: rr.RecordingStream) -> None:
@@ -60,14 +60,21 @@ def log_curve(rec: rr.RecordingStream, entity: str, iterations: np.ndarray, valu
 
 
 def log_estimate_iterations(
-    rec: rr.RecordingStream, estimate: PointRegistrationResult, T_truth: np.ndarray | None, when: When | None = None
+    rec: rr.RecordingStream,
+    estimate: PointRegistrationResult,
+    T_truth: np.ndarray | None,
+    when: When | None = None,
+    *,
+    variance: float | None = None,
 ) -> int:
-    """Log every EM iteration of an estimate: pose of the source, σ, energy, and the errors where the truth is known.
+    """Log every EM iteration of an estimate: pose of the source, spread of the points, energy, and the errors
+    where the truth is known.
 
     Parameters
     ----------
     estimate : with transformations (K+1, 4, 4), sigmas (K,) and energies (K,), as `PointRegistrationResult` has them.
     T_truth : (4, 4) source to target, or None.
+    variance : of a point as the clouds' covariances have it, without σ; without it their spread is not logged.
     when : the pair's place on the timelines; left out for a recording of this pair alone.
 
     Returns
@@ -79,7 +86,8 @@ def log_estimate_iterations(
     log_transformations(rec, entities.SOURCE.root, transformations, when)
     after_each = np.arange(1, len(transformations))
     log_curve(rec, entities.ENERGY, after_each, estimate.energies, when)
-    log_curve(rec, entities.SIGMA_MM2, after_each, SQUARE_MILLIMETRES * np.asarray(estimate.sigmas), when)
+    if variance is not None:
+        log_curve(rec, entities.SPREAD_MM, after_each, spread_mm(np.asarray(estimate.sigmas), variance), when)
     angles_deg = distances_mm = np.full(len(transformations), np.nan)
     if T_truth is not None:
         angles_deg, distances_mm = pose_errors(transformations, T_truth)

@@ -9,9 +9,10 @@ from adagmm_fusion.meshes.textured_mesh import TexturedMesh
 from adagmm_fusion.pairs.feature_start import FeatureStart
 from adagmm_fusion.pairs.partners import partner_distance as default_partner_distance
 from adagmm_fusion.pairs.point_diagnostics import PointDiagnostics, diagnose
+from adagmm_fusion.pairs.spread import point_variance
 from adagmm_fusion.pairs.stages import Stage, stages_of, worse_than_start
 from adagmm_fusion.rerun_log import entities
-from adagmm_fusion.rerun_log.cameras import log_blank_images, log_frustum, log_images, log_pose
+from adagmm_fusion.rerun_log.cameras import FRUSTUM_DEPTH, log_blank_images, log_frustum, log_images, log_pose
 from adagmm_fusion.rerun_log.clouds import DIMMED, log_points, own_colors, shaded_colors, variance_mm2
 from adagmm_fusion.rerun_log.colors import (
     DIMMED_TARGET_COLOR,
@@ -24,6 +25,7 @@ from adagmm_fusion.rerun_log.colors import (
 from adagmm_fusion.rerun_log.differences import log_difference, log_unobservable
 from adagmm_fusion.rerun_log.ellipsoids import log_covariances
 from adagmm_fusion.rerun_log.entities import INITIAL_SOURCE, RECORDED_SOURCE, SOURCE, TARGET, TRUE_SOURCE
+from adagmm_fusion.rerun_log.eyes import log_eye
 from adagmm_fusion.rerun_log.guide import log_guide
 from adagmm_fusion.rerun_log.iterations import log_curve_styles, log_estimate_iterations
 from adagmm_fusion.rerun_log.legends import log_legends, log_residual_histogram, why_layers
@@ -35,6 +37,9 @@ from adagmm_fusion.rerun_log.stages import log_stage_styles, log_stages
 from adagmm_fusion.rerun_log.verdict import DEFAULT_LIMITS, Limits, pair_report
 from adagmm_fusion.rerun_log.when import When
 from adagmm_o3d.result import PointRegistrationResult
+
+# A camera is drawn this large about its place.
+FRUSTUM_CORNERS = FRUSTUM_DEPTH * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
 
 
 def log_pair(
@@ -98,7 +103,7 @@ def log_pair(
     if estimate is None:
         log_pose(rec, SOURCE, T_initial, when)
     else:
-        rows = log_estimate_iterations(rec, estimate, T_truth, when)
+        rows = log_estimate_iterations(rec, estimate, T_truth, when, variance=point_variance(source_cloud))
         log_stages(rec, stages, limits, failed=status == "failed", iterations=rows - 1, when=when)
     diagnostics = None
     if estimate is not None:
@@ -108,6 +113,7 @@ def log_pair(
     _log_clouds(rec, source_cloud, target_cloud, estimate, diagnostics, when)
     worse = bool(stages) and worse_than_start(stages[1], stages[2])
     log_difference(rec, T_estimate, T_truth, when, bad=worse or status == "failed")
+    _log_eyes(rec, pair, np.asarray(source_cloud.points), np.asarray(target_cloud.points), T_initial, T_estimate, when)
     log_matches(rec, pair, features, T_estimate, when)
     moved = np.asarray(source_cloud.points) @ T_estimate[:3, :3].T + T_estimate[:3, 3]
     unobservable = () if estimate is None else estimate.unobservable
@@ -120,6 +126,7 @@ def log_pair(
             stages,
             diagnostics,
             limits,
+            variance=point_variance(source_cloud),
             status=status,
             reason=reason,
             diagnosis=diagnosis,
@@ -155,6 +162,27 @@ def log_refused_pair(
     when.log(rec, entities.REPORT, rr.TextDocument(report, media_type=rr.MediaType.MARKDOWN))
     log_messages(rec, name, None, reason, when)
     return em_step + 1
+
+
+def _log_eyes(
+    rec: rr.RecordingStream,
+    pair: RGBDPair,
+    source: np.ndarray,
+    target: np.ndarray,
+    T_initial: np.ndarray,
+    T_estimate: np.ndarray,
+    when: When,
+) -> None:
+    """Eyes that see the target, and the source at its start and at its end; one of them the sensors as well."""
+    clouds = [target, *(source @ T[:3, :3].T + T[:3, 3] for T in (T_initial, T_estimate))]
+    log_eye(rec, entities.EYE, clouds, when)
+    poses = [np.eye(4), T_initial, T_estimate, *([] if pair.T_target_source is None else [pair.T_target_source])]
+    log_eye(
+        rec,
+        entities.EYE_WITH_SENSORS,
+        [*clouds, np.array([T[:3, 3] + d for T in poses for d in FRUSTUM_CORNERS])],
+        when,
+    )
 
 
 def _log_sensors(rec: rr.RecordingStream, pair: RGBDPair, T_initial: np.ndarray, when: When) -> None:

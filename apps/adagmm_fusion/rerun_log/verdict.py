@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adagmm_fusion.pairs.point_diagnostics import CONTRADICTED, HIDDEN, PARTNER, PointDiagnostics
+from adagmm_fusion.pairs.spread import spread_mm
 from adagmm_fusion.pairs.stages import END, Stage, worse_than_start
 from adagmm_o3d.result import PointRegistrationResult
 
@@ -31,6 +32,7 @@ def pair_report(
     status: str = "",
     reason: str = "",
     diagnosis: str = "",
+    variance: float | None = None,
     seconds: float | None = None,
 ) -> str:
     """The report of one pair: the verdict, why, the errors of every stage, and what the estimate says of itself.
@@ -64,8 +66,11 @@ def pair_report(
         shares = " → ".join("–" if value is None else f"{value:.2f}" for value in known)
         last = "–" if known[-1] is None else f"{known[-1]:.2f}"
         lines.append(f"| colours correlate | {last} | {shares} |")
-    sigma = f", σ {1e6 * estimate.sigmas[0]:.3g} → {1e6 * estimate.sigmas[-1]:.3g} mm²" if len(estimate.sigmas) else ""
-    lines += ["", f"{estimate.iterations} EM iterations{sigma}, stopped: {estimate.stop_reason}."]
+    spread = ""
+    if len(estimate.sigmas) and variance is not None:
+        first, last = spread_mm(np.asarray(estimate.sigmas)[[0, -1]], variance)
+        spread = f", spread of the points {first:.0f} → {last:.0f} mm"
+    lines += ["", f"{estimate.iterations} EM iterations{spread}, stopped: {estimate.stop_reason}."]
     if seconds is not None:
         lines += [f"{seconds:.2f} s."]
     if estimate.unobservable:

@@ -20,14 +20,6 @@ class Eye:
     look_target: tuple[float, float, float] = (0.0, 0.0, 2.0)
 
     @classmethod
-    def behind(cls, points: np.ndarray) -> "Eye":
-        """An eye above and to the right of the target sensor, looking at the middle of what it saw, points (N, 3)."""
-        center = np.median(np.asarray(points), axis=0)
-        reach = float(np.linalg.norm(center))
-        position = center + reach * np.array((0.4, -0.6, -1.0))
-        return cls(_three(position), _three(center))
-
-    @classmethod
     def around(cls, points: np.ndarray) -> "Eye":
         """An eye that sees all of a cloud, points (N, 3), wherever its sensor was."""
         center = points.mean(axis=0)
@@ -35,31 +27,31 @@ class Eye:
         position = center + radius * np.array((0.7, -0.8, -1.6))
         return cls(_three(position), _three(center))
 
-    def with_sensors(self) -> "Eye":
-        """The same view from a little farther away, aimed so that the sensors are in it as well."""
-        position, center = np.array(self.position), np.array(self.look_target)
-        between = 0.6 * center
-        return Eye(_three(between + 1.05 * (position - center)), _three(between))
-
-    def controls(self) -> rrb.EyeControls3D:
+    def controls(self, *, tracking: str | None = None) -> rrb.EyeControls3D:
         return rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital, position=self.position, look_target=self.look_target, eye_up=(0.0, -1.0, 0.0)
+            kind=rrb.Eye3DKind.Orbital,
+            position=self.position,
+            look_target=self.look_target,
+            eye_up=(0.0, -1.0, 0.0),
+            tracking_entity=None if tracking is None else f"/{tracking}",
         )
 
 
-DEFAULT_EYE = Eye()
+def scene(name: str, contents: Mapping[str, str | None], eye: Eye | str) -> rrb.Spatial3DView:
+    """A 3D view of entities, each with the layer that colours its points, or None for what it is logged with.
 
-
-def scene(name: str, contents: Mapping[str, str | None], eye: Eye) -> rrb.Spatial3DView:
-    """A 3D view of entities, each with the layer that colours its points, or None for what it is logged with."""
+    eye : where it looks from, or the entity of the eye that it tracks.
+    """
+    tracked = [eye] if isinstance(eye, str) else []
+    controls = Eye().controls(tracking=eye) if isinstance(eye, str) else eye.controls()
     return rrb.Spatial3DView(
         name=name,
         origin=entities.WORLD,
-        contents=[f"/{entity}" for entity in contents],
+        contents=[f"/{entity}" for entity in (*contents, *tracked)],
         overrides={entity: _colored_by(layer) for entity, layer in contents.items() if layer is not None},
         background=BACKGROUND,
         line_grid=False,
-        eye_controls=eye.controls(),
+        eye_controls=controls,
     )
 
 

@@ -1,0 +1,47 @@
+"""Where the 3D views look from: an eye for each pair, so that a source that flew off is in the picture as well.
+
+An eye is a pinhole that the views track; it is drawn nowhere.
+"""
+
+import numpy as np
+import rerun as rr
+
+from adagmm_fusion.rerun_log.cameras import transform_archetype
+from adagmm_fusion.rerun_log.when import When
+
+FIELD_OF_VIEW = np.radians(50.0)
+ASPECT = 1.15
+# Above, to the right and behind the target's camera, which looks along z.
+DIRECTION = np.array((0.4, -0.6, -1.0)) / np.linalg.norm((0.4, -0.6, -1.0))
+# Of each cloud so much is in the picture, on each side of the middle: a few points far away would make the rest small.
+SHOWN_PERCENT = (2.0, 98.0)
+MARGIN = 0.85
+
+
+def log_eye(rec: rr.RecordingStream, entity: str, clouds: list[np.ndarray], when: When) -> None:
+    """Log an eye that sees clouds (n, 3) [m] of the target's frame."""
+    when.log(rec, entity, transform_archetype(eye_pose(clouds)))
+    unseen = {"color": (0, 0, 0, 0), "line_width": 0.0, "image_plane_distance": 1e-6}
+    camera = rr.Pinhole(fov_y=FIELD_OF_VIEW, aspect_ratio=ASPECT, camera_xyz=rr.ViewCoordinates.RDF, **unseen)
+    when.log(rec, entity, camera)
+
+
+def eye_pose(clouds: list[np.ndarray]) -> np.ndarray:
+    """(4, 4) T_world_eye, x right, y down, z forward, from where the clouds (n, 3) fill the picture."""
+    forward = -DIRECTION
+    right = np.cross((0.0, 1.0, 0.0), forward)
+    right /= np.linalg.norm(right)
+    T = np.eye(4)
+    T[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
+    kept = []
+    for cloud in clouds:
+        low, high = np.percentile(cloud, SHOWN_PERCENT, axis=0)
+        kept.append(cloud[((cloud >= low) & (cloud <= high)).all(axis=1)] if len(cloud) > 20 else cloud)
+    points = np.concatenate(kept) @ T[:3, :3]
+    # As far back as the widest point needs, seen from the middle.
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    slope = np.tan(0.5 * FIELD_OF_VIEW) * MARGIN
+    sideways = np.abs(points - middle)[:, :2] / np.array((slope * ASPECT, slope))
+    back = float(np.max(sideways.max(axis=1) - (points - middle)[:, 2]))
+    T[:3, 3] = T[:3, :3] @ (middle - (0.0, 0.0, max(back, 0.1)))
+    return T

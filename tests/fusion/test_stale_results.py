@@ -1,0 +1,75 @@
+"""A second run into the same folder: what the first one left is gone, and nothing else."""
+
+import json
+
+import pytest
+
+from adagmm_fusion.errors import OutputError
+from adagmm_fusion.files.stale_results import remove_files, remove_results_of_report
+
+SCHEMA = "adagmm-fusion-report"
+
+
+def names(folder) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if not path.is_dir()}
+
+
+def write_all(folder, files: list[str]) -> None:
+    for name in files:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text("x")
+
+
+def report(folder, results: dict, schema: str = SCHEMA) -> None:
+    (folder / "report.json").write_text(json.dumps({"schema": schema, "results": results}))
+    (folder / "report.md").write_text("x")
+
+
+def test_what_the_report_names_goes_and_what_it_does_not_stays(tmp_path):
+    write_all(tmp_path, ["fused/a.ply", "fused/a.glb", "fused/mine.ply", "rig.yaml", "room.rrd", "notes.txt"])
+    report(tmp_path, {"cloud": "fused/a.ply", "mesh": "fused/a.glb", "rig": "rig.yaml", "rerun": "room.rrd"})
+    remove_results_of_report(tmp_path, SCHEMA)
+    assert names(tmp_path) == {"fused/mine.ply", "notes.txt"}
+
+
+@pytest.mark.parametrize(
+    "name", ["../victim.ply", "/etc/passwd", "notes.txt", "fused/../notes.txt", 3, "fused/x/a.ply"]
+)
+def test_a_report_that_names_something_else_is_not_believed(tmp_path, name):
+    folder = tmp_path / "out"
+    write_all(tmp_path, ["victim.ply"])
+    write_all(folder, ["notes.txt", "fused/x/a.ply"])
+    report(folder, {"x": name})
+    remove_results_of_report(folder, SCHEMA)
+    assert names(tmp_path) == {"victim.ply", "out/notes.txt", "out/fused/x/a.ply"}
+
+
+@pytest.mark.parametrize(
+    "content", ["", "[]", "{", '{"schema": "other", "results": {}}', '{"schema": "adagmm-fusion-report"}']
+)
+def test_another_report_is_left_or_only_replaced(tmp_path, content):
+    write_all(tmp_path, ["fused/a.ply"])
+    (tmp_path / "report.json").write_text(content)
+    remove_results_of_report(tmp_path, SCHEMA)
+    assert "fused/a.ply" in names(tmp_path)
+
+
+def test_links_are_not_followed(tmp_path):
+    write_all(tmp_path, ["elsewhere/a.ply"])
+    folder = tmp_path / "out"
+    folder.mkdir()
+    (folder / "fused").symlink_to(tmp_path / "elsewhere")
+    report(folder, {"x": "fused/a.ply"})
+    remove_results_of_report(folder, SCHEMA)
+    assert (tmp_path / "elsewhere" / "a.ply").is_file()
+
+
+def test_what_cannot_be_removed_is_named(tmp_path, monkeypatch):
+    write_all(tmp_path, ["mesh.ply"])
+
+    def refuse(self):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(type(tmp_path), "unlink", refuse)
+    with pytest.raises(OutputError, match=r"mesh\.ply: of an earlier run, cannot be removed: Permission denied"):
+        remove_files(tmp_path, ["mesh.ply", "none.ply"])

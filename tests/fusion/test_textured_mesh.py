@@ -2,6 +2,7 @@
 
 import json
 import struct
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -13,8 +14,10 @@ from scipy.ndimage import map_coordinates
 import adagmm_fusion.meshes.texturing as texturing_module
 from adagmm_fusion.errors import OutputError
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame
+from adagmm_fusion.meshes.exposure import exposure_gains, matched_exposures
 from adagmm_fusion.meshes.joined_grids import joined_surface, textured_moment
 from adagmm_fusion.meshes.orientation import upright
+from adagmm_fusion.meshes.texture_colors import texture_colors
 from adagmm_fusion.meshes.textured_mesh import save_textured_mesh
 from adagmm_fusion.meshes.texturing import Texturing
 from adagmm_fusion.meshes.tsdf import TSDFVolume
@@ -186,3 +189,41 @@ def test_the_world_may_be_any(moment):
     points, colors = centers(mesh)
     points = points @ POSES[0][:3, :3].T + POSES[0][:3, 3]
     assert np.median(np.abs(colors - true_colors(points)).max(axis=1)) < 4.0
+
+
+def test_two_exposures_become_one(moment):
+    """A camera with twice the light and another white balance than the other leaves no step where they meet."""
+    gain = np.array((2.0, 1.6, 1.3)) ** (1.0 / 2.2)
+    darkened = []
+    for pose, factor in zip(POSES[:2], (1.0 / gain, 1.0), strict=True):
+        frame = frame_at(pose)
+        darkened.append((replace(frame, color=np.floor(frame.color * factor + 0.5).astype(np.uint8)), pose))
+    surface = joined_surface(darkened, max_depth_m=5.0)
+    texturing = Texturing(surface, max_depth_m=5.0, new_share=0.0)
+    for frame, pose in darkened:
+        texturing.add(frame, pose)
+    points, normals = (np.asarray(a, np.float32) for a in (surface.vertices, surface.vertex_normals))
+    gains = exposure_gains(texturing.views, points, normals)
+    np.testing.assert_allclose(gains[0] / gains[1], (2.0, 1.6, 1.3), rtol=0.12, atol=0.0)
+    np.testing.assert_allclose(gains[0] * gains[1], 1.0, rtol=1e-6, atol=0.0)
+    first, second = (view.colors_at(points) for view in matched_exposures(texturing.views, points, normals))
+    before = [view.colors_at(points) for view in texturing.views]
+    both = np.all([view.quality(points, normals) > 0 for view in texturing.views], axis=0)
+    assert np.median(np.abs(first - second)[both]) < 0.35 * np.median(np.abs(before[0] - before[1])[both])
+
+
+def test_one_exposure_stays_as_it_is(moment):
+    placed = [(frame_at(pose), pose) for pose in POSES[:2]]
+    surface = joined_surface(placed, max_depth_m=5.0)
+    texturing = Texturing(surface, max_depth_m=5.0, new_share=0.0)
+    for frame, pose in placed:
+        texturing.add(frame, pose)
+    points, normals = (np.asarray(a, np.float32) for a in (surface.vertices, surface.vertex_normals))
+    np.testing.assert_allclose(exposure_gains(texturing.views, points, normals), 1.0, rtol=0.05, atol=0.0)
+
+
+def test_a_cloud_takes_its_colors_from_the_texture(moment):
+    points, colors = centers(moment)
+    found, near = texture_colors(moment, points, within_m=0.01)
+    assert near.all() and np.median(np.abs(255.0 * found - colors).max(axis=1)) < 1.0
+    assert not texture_colors(moment, points[:5] + 50.0, within_m=0.01)[1].any()

@@ -162,7 +162,7 @@ def _fused(outcome: PairOutcome, settings: Settings) -> TexturedMesh | None:
 def _saved(outcome: PairOutcome, mesh: TexturedMesh, folder: Path, settings: Settings) -> dict[str, str]:
     """Write a pair's fused cloud and textured mesh; names of results and their files in the folder."""
     stem = f"fused/{outcome.pair_name}"
-    cloud = fused_cloud(outcome.pair, outcome.T_estimate, max_depth_m=settings.max_depth_m)
+    cloud = fused_cloud(outcome.pair, outcome.T_estimate, max_depth_m=settings.max_depth_m, mesh=mesh)
     save_cloud(folder / f"{stem}.ply", cloud)
     save_textured_mesh(folder / f"{stem}.glb", mesh)
     return {

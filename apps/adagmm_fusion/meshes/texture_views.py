@@ -103,6 +103,12 @@ def texture_view(
     )
 
 
+def sampled(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """(n, 3) float32 colours 0..255 of an image (H, W, 3) between its pixels, at (n, 2) places (x, y) within it."""
+    inside = np.clip(pixels, 0.0, np.array(image.shape[1::-1]) - 1.0).astype(np.float32)
+    return _sampled(image, inside, cv2.INTER_LINEAR, (0, 0, 0)).astype(np.float32)
+
+
 def _fade(surface_z: np.ndarray) -> np.ndarray:
     """Rises smoothly from the border, and from where the surface jumps, whichever is nearer."""
     height, width = surface_z.shape

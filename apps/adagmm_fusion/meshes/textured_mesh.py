@@ -31,7 +31,7 @@ class TexturedMesh:
 
 
 def save_textured_mesh(path: Path, mesh: TexturedMesh) -> list[Path]:
-    """Write a .glb file with the texture in it, or an .obj file with .mtl and .png beside it, y up; returns what there is.
+    """Write a .glb file with the texture in it, or .obj with .mtl and .png beside it, y up; returns what there is.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A surface textured with photographs of it, blended where they overlap.
+"""A surface textured with photographs of it, made alike in exposure and white balance and blended where they overlap.
 
 The texture is an atlas of one tile for each photograph. A tile is the surface as that camera sees it, each of its
 pixels mixed from all photographs that see the same point of the surface, by how well they do. A triangle's texture
@@ -12,6 +12,7 @@ import numpy as np
 import open3d as o3d
 
 from adagmm_fusion.frames.rgbd import RGBDFrame
+from adagmm_fusion.meshes.exposure import matched_exposures
 from adagmm_fusion.meshes.texture_views import TextureView, texture_view
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh
 from adagmm_o3d.errors import InputError
@@ -61,7 +62,9 @@ class Texturing:
         """The surface with its texture. Raises InputError if no frame shows any of it."""
         if not self.views:
             raise InputError("no colour image shows the surface; are the poses those of the frames that it is made of?")
-        tiles = [_blended(view, self.views) for view in self.views]
+        normals = np.asarray(self._surface.vertex_normals, np.float32)
+        matched = matched_exposures(self.views, self._vertices, normals)
+        tiles = [_blended(view, matched) for view in matched]
         surface, tile_of = self._triangles[self._seen], self._tile_of[self._seen]
         patched = np.flatnonzero(tile_of < 0)
         atlas = _Atlas([view.size for view in self.views], len(patched))
@@ -81,7 +84,7 @@ class Texturing:
         uvs = (pixels + 0.5) / np.array(texture.shape[1::-1], np.float32)
         return TexturedMesh(
             vertices=self._vertices[vertex],
-            normals=np.asarray(self._surface.vertex_normals, np.float32)[vertex],
+            normals=normals[vertex],
             triangles=triangles.reshape(-1, 3).astype(np.int32),
             uvs=np.clip(uvs, 0.0, 1.0).astype(np.float32),
             texture=texture,

@@ -9,8 +9,9 @@ from adagmm_fusion.clouds.building import dense_cloud
 from adagmm_fusion.files.atomic_file import replacing
 from adagmm_fusion.files.ply_file import ply_bytes
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDPair
-from adagmm_fusion.meshes.joined_grids import textured_moment
+from adagmm_fusion.meshes.joined_grids import SAME_SURFACE_M, textured_moment
 from adagmm_fusion.meshes.orientation import upright
+from adagmm_fusion.meshes.texture_colors import texture_colors
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh
 from adagmm_fusion.pairs.pipeline import PairOutcome
 from adagmm_fusion.rigs.rig import Rig, SensorCalibration
@@ -21,9 +22,16 @@ FUSED_VOXEL_SIZE_M = 0.01
 
 
 def fused_cloud(
-    pair: RGBDPair, T_target_source: np.ndarray, *, max_depth_m: float, voxel_size_m: float = FUSED_VOXEL_SIZE_M
+    pair: RGBDPair,
+    T_target_source: np.ndarray,
+    *,
+    max_depth_m: float,
+    voxel_size_m: float = FUSED_VOXEL_SIZE_M,
+    mesh: TexturedMesh | None = None,
 ) -> o3d.geometry.PointCloud:
     """Every measured point of both frames in the target's camera frame [m], averaged with its colour over a voxel grid.
+
+    mesh : of the same frames; what lies on it has the colours that were blended for it.
 
     Raises
     ------
@@ -31,7 +39,12 @@ def fused_cloud(
     """
     target = dense_cloud(pair.target, max_depth=max_depth_m)
     source = dense_cloud(pair.source, max_depth=max_depth_m).transform(T_target_source)
-    return (target + source).voxel_down_sample(voxel_size_m)
+    cloud = (target + source).voxel_down_sample(voxel_size_m)
+    if mesh is not None:
+        blended, near = texture_colors(mesh, np.asarray(cloud.points), within_m=SAME_SURFACE_M)
+        colors = np.where(near[:, None], blended, np.asarray(cloud.colors))
+        cloud.colors = o3d.utility.Vector3dVector(colors)
+    return cloud
 
 
 def fused_mesh(pair: RGBDPair, T_target_source: np.ndarray, *, max_depth_m: float) -> TexturedMesh | None:

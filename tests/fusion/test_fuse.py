@@ -21,6 +21,7 @@ from adagmm_fusion.meshes.glb_file import colored_glb
 from adagmm_fusion.meshes.orientation import upright
 from adagmm_fusion.meshes.tsdf import TSDFVolume, save_mesh
 from adagmm_fusion.recordings.opening import open_recording
+from adagmm_fusion.rerun_log.fused_recording import FusedRecording, edge_residuals, fused_report
 from adagmm_fusion.sequence.edge_file import EdgeFile
 from adagmm_fusion.sequence.edges import Edge
 from adagmm_fusion.sequence.loop_candidates import near_frames
@@ -328,3 +329,41 @@ def test_a_real_walk(tmp_path, capsys):
     out = capsys.readouterr().out
     assert "5 frames" in out
     assert float(out.split("ATE ")[1].split(" mm")[0]) < 10.0
+
+
+def test_what_became_of_the_frames_is_saved_by_default(walk, tmp_path):
+    (tmp_path / "mesh.obj").write_text("of an earlier run")
+    assert fuse(walk, tmp_path) == 0
+    assert not (tmp_path / "mesh.obj").exists()
+    reader = RrdReader(tmp_path / f"{walk.name}.rrd")
+    logged = {str(column) for column in reader.store().schema().component_columns()}
+    for entity in ("world/camera/image/rgb", "world/loops/kept", "log10/translation_error_mm", "report", "guide"):
+        assert any(f"/{entity}:" in column for column in logged), entity
+    assert any("/world/ways/" in column and "/truth:" in column for column in logged)
+    assert fuse(walk, tmp_path / "without", "--no-rerun") == 0
+    assert list((tmp_path / "without").glob("*.rrd")) == []
+
+
+def test_a_loop_that_contradicts_the_poses_counts_as_dropped():
+    poses = {i: np.eye(4) for i in range(3)}
+    poses[1][0, 3], poses[2][0, 3] = 0.1, 0.2
+    far = np.eye(4)
+    far[0, 3] = 0.9
+    edges = [
+        Edge(1, 0, poses[1], np.eye(6), False),
+        Edge(2, 0, far, np.eye(6), True),
+        Edge(2, 1, None, None, True, "no overlap"),
+    ]
+    truth = {i: pose.copy() for i, pose in poses.items()}
+    truth[2][1, 3] = 0.03
+    fused = FusedRecording(poses, dict.fromkeys(poses, "camera"), truth, edges, left_out=[7])
+    residuals = edge_residuals(fused)
+    assert [kept for _, kept in residuals.values()] == [True, False]
+    np.testing.assert_allclose([mm for mm, _ in residuals.values()], [0.0, 700.0], rtol=1e-9, atol=1e-9)
+    text = fused_report(fused, residuals, {0: 3.0, 1: 4.0})
+    assert (
+        text.startswith("### 3 of 4 frames fused")
+        and "**ATE 3.5 mm**" in text
+        and "| 2 | 0 | 700 | × dropped |" in text
+    )
+    assert "1 registrations used, 1 dropped, 1 refused." in text

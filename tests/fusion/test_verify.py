@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from rerun.chunk import RrdReader
 from shared_data import ROOT
 
 from adagmm_fusion.cli import main
@@ -34,11 +35,15 @@ def test_the_rig_of_the_shipped_recording_is_unchanged(capsys):
 
 def test_a_knocked_sensor_has_moved_by_as_much(tmp_path, capsys):
     rig = knocked(tmp_path, (0.0, np.radians(4.0), 0.0, 0.05, 0.0, 0.1))
-    assert main(["verify", rig, SHIPPED, "--frames", "2", "--device", "cpu"]) == 3
+    log = tmp_path / "moved.rrd"
+    assert main(["verify", rig, SHIPPED, "--frames", "2", "--device", "cpu", "--save", str(log)]) == 3
     sentence = capsys.readouterr().out.splitlines()[-1]
     assert sentence.startswith("right against left: moved, ")
     rotation_deg = float(sentence.split("moved, ")[1].split("°")[0])
     assert rotation_deg == pytest.approx(4.0, abs=1.0)
+    logged = {str(column) for column in RrdReader(log).store().schema().component_columns()}
+    for entity in ("rig/image", "found/image", "frames", "moved", "moved/label"):
+        assert any(f"/world/rig/left/right/{entity}:" in column for column in logged), entity
 
 
 def test_tolerances_are_the_users(capsys):

@@ -3,7 +3,7 @@
 import argparse
 import contextlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,8 @@ from adagmm_fusion.processes.terminal import printable
 from adagmm_fusion.recordings.frame_sequence import Recording
 
 MESHES = ("ply", "glb", "obj")
+# What another run may have left under the name of the mesh.
+OTHER_MESHES = ("mesh.ply", "mesh.glb", "mesh.obj", "mesh.mtl", "mesh_0.png")
 # The code and the libraries that a registration between two frames comes from.
 REGISTERED_BY = ("adagmm_o3d", *(f"adagmm_fusion.{name}" for name in ("clouds", "frames", "pairs", "sequence")))
 REGISTERED_WITH = ("numba", "numpy", "open3d", "opencv-python-headless", "scipy")
@@ -61,7 +63,10 @@ def add(commands: argparse._SubParsersAction) -> None:
     command.add_argument(
         "--device", choices=("auto", "cpu", "cuda"), default="auto", help="where the kernels run (default: %(default)s)"
     )
-    add_rerun_arguments(command.add_argument_group("Rerun", "Shows or saves the mesh and the sensors' ways as well."))
+    text = "Without one of these, the mesh, the ways and the registrations are saved with the other results."
+    viewer = command.add_argument_group("Rerun", text)
+    viewer.add_argument("--no-rerun", action="store_true", help="make no Rerun recording")
+    add_rerun_arguments(viewer)
     command.set_defaults(run=run)
 
 
@@ -74,15 +79,21 @@ def run(args: argparse.Namespace) -> int:
     """
     from adagmm_fusion.files.atomic_file import check_output_file
     from adagmm_fusion.files.output_folder import exclusive
+    from adagmm_fusion.files.stale_results import remove_files
     from adagmm_fusion.rerun_log import check_destination
 
-    check_destination(args)
+    if not args.no_rerun:
+        check_destination(args)
     recording = recording_of(args)
     folder = Path(args.output) if args.output else Path("output") / f"{recording.path.resolve().name}_fused"
+    if args.save is None and not (args.no_rerun or args.connect or args.serve or args.url or args.stdout):
+        args.save = str(folder / f"{recording.path.resolve().name}.rrd")
+        check_destination(args)
     # With --stdout the Rerun recording goes there, and what is said to stderr.
     with contextlib.redirect_stdout(sys.stderr) if args.stdout else contextlib.nullcontext(), exclusive(folder):
         for path in (folder / f"mesh.{args.mesh}", *(path for _, path in _trajectory_files(recording, folder))):
             check_output_file(path)
+        remove_files(folder, [*OTHER_MESHES, *(path.name for _, path in _trajectory_files(recording, folder))])
         _fuse(args, recording, folder)
     return 0
 
@@ -97,11 +108,12 @@ def _fuse(args: argparse.Namespace, recording: Recording, folder: Path) -> None:
     check_voxels(args.voxel_size, args.max_memory)
     scene = scene_of(recording, args.moment)
     settings = Settings(max_depth_m=args.max_depth, target_points=args.target_points, device=args.device)
+    edges: Sequence[Any] = ()
     if args.poses == "truth":
         poses = {index: recording.entries[index].T_world_camera for index in scene.places}
         poses = {index: pose for index, pose in poses.items() if pose is not None}
     else:
-        poses = _estimated(recording, scene, settings, folder)
+        poses, edges = _estimated(recording, scene, settings, folder)
     placed = {index: poses[scene.place_of[index]] for index in scene.frames if scene.place_of[index] in poses}
     left_out = [recording.entries[index].name for index in scene.frames if index not in placed]
     with staged_progress_bar() as report:
@@ -119,26 +131,33 @@ def _fuse(args: argparse.Namespace, recording: Recording, folder: Path) -> None:
         print(printable(f"left out, their pose is not known: {len(left_out)} frames ({', '.join(left_out[:5])})"))
     shown = f"{', '.join(map(str, paths))}, {len(placed)} frames, {len(mesh.triangles)} triangles, {note}"
     print(printable(f"mesh: {shown}"))
-    if args.save or args.connect or args.serve or args.url or args.stdout:
-        _show(args, recording, mesh, placed)
+    if not args.no_rerun:
+        _show(args, recording, mesh, scene, placed, edges)
+        if args.save:
+            print(printable(f"Rerun recording: {args.save}"))
 
 
-def _show(args: argparse.Namespace, recording: Recording, mesh: Any, placed: dict) -> None:
-    """Log the mesh and the way of each sensor to Rerun, as the arguments say."""
-    import numpy as np
+def _show(
+    args: argparse.Namespace, recording: Recording, mesh: Any, scene: Any, placed: dict, edges: Sequence[Any]
+) -> None:
+    """Log the mesh, the frames and the registrations between them to Rerun, as the arguments say."""
+    from adagmm_fusion.rerun_log import FusedRecording, fused_blueprint, log_fused_recording, open_stream
 
-    from adagmm_fusion.rerun_log import fused_blueprint, log_fused_recording, open_stream
+    entries = recording.entries
+    poses = {index: entries[index].T_world_camera for index in placed}
+    fused = FusedRecording(
+        poses=placed,
+        sensors={index: entries[index].sensor for index in scene.frames},
+        truth={index: pose for index, pose in poses.items() if pose is not None},
+        edges=edges,
+        left_out=[index for index in scene.frames if index not in placed],
+    )
+    with open_stream(args, recording.name, fused_blueprint(mesh.vertices, placed)) as stream:
+        log_fused_recording(stream, mesh, fused, lambda index: entries[index].load())
 
-    ways = {
-        sensor: np.array([pose[:3, 3] for i, pose in placed.items() if recording.entries[i].sensor == sensor])
-        for sensor in dict.fromkeys(recording.entries[index].sensor for index in placed)
-    }
-    with open_stream(args, recording.name, fused_blueprint(mesh.vertices)) as stream:
-        log_fused_recording(stream, mesh, ways)
 
-
-def _estimated(recording: Recording, scene: Any, settings: Any, folder: Path) -> dict:
-    """T_world_camera of the places that hold together, the first one's camera frame being the world.
+def _estimated(recording: Recording, scene: Any, settings: Any, folder: Path) -> tuple[dict, list]:
+    """T_world_camera of the places that hold together, the first one's camera frame being the world; and the edges.
 
     What was found out about them is printed and written.
     """
@@ -179,7 +198,7 @@ def _estimated(recording: Recording, scene: Any, settings: Any, folder: Path) ->
         of_sensor = {index: pose for index, pose in poses.items() if entries[index].sensor == sensor}
         if scene.paths and of_sensor:
             _conclude_path(recording, of_sensor, path)
-    return poses
+    return poses, edges
 
 
 def _digests(recording: Recording, scene: Any, report: Callable[[str, int, int], None]) -> list[list[str]]:

@@ -11,6 +11,7 @@ TABLE_WIDTH = 150  # where the output is no terminal
 
 def add(commands: argparse._SubParsersAction) -> None:
     from adagmm_fusion.formats import FORMATS
+    from adagmm_fusion.rerun_arguments import add_rerun_arguments
 
     text = (
         "Register the clouds of several moments, starting from the rig's pose, and say how far the sensors have moved. "
@@ -39,6 +40,7 @@ def add(commands: argparse._SubParsersAction) -> None:
     command.add_argument(
         "--device", choices=("auto", "cpu", "cuda"), default="auto", help="where the kernels run (default: %(default)s)"
     )
+    add_rerun_arguments(command.add_argument_group("Rerun", "Shows or saves where the sensors are, and should be."))
     command.set_defaults(run=run)
 
 
@@ -56,6 +58,7 @@ def run(args: argparse.Namespace) -> int:
     from adagmm_fusion.pairs.plausibility import recording_warnings
     from adagmm_fusion.pairs.settings import Settings
     from adagmm_fusion.recordings.opening import open_recording
+    from adagmm_fusion.rerun_log import check_destination
     from adagmm_fusion.rigs.checking import MIN_FRAMES, check_rig
     from adagmm_fusion.rigs.rig import load_rig
     from adagmm_o3d.errors import InputError
@@ -65,6 +68,7 @@ def run(args: argparse.Namespace) -> int:
     for name in ("max_rotation", "max_translation"):
         if not 0 < getattr(args, name) < float("inf"):
             raise InputError(f"--{name.replace('_', '-')}: expected a positive number, got {getattr(args, name)}")
+    check_destination(args)
     rig = load_rig(args.rig)
     recording = open_recording(args.recording, format=args.format, rig=rig)
     with progress_bar(recording.name) as report:
@@ -85,8 +89,18 @@ def run(args: argparse.Namespace) -> int:
         console.print(printable(_sentence(check)), markup=False)
     for note in (*recording.notes, *recording_warnings(recording)):
         print(f"note: {one_line(note)}")
+    if args.save or args.connect or args.serve or args.url or args.stdout:
+        _show(args, checks, rig)
     verdicts = {check.verdict for check in checks}
     return next(EXIT_CODES[verdict] for verdict in ("moved", "undecided", "unchanged") if verdict in verdicts)
+
+
+def _show(args: argparse.Namespace, checks: list, rig: Any) -> None:
+    """Log what moved to Rerun, as the arguments say."""
+    from adagmm_fusion.rerun_log import log_verified_rig, open_stream, verified_rig_blueprint
+
+    with open_stream(args, rig.name, verified_rig_blueprint(checks, rig)) as stream:
+        log_verified_rig(stream, checks, rig)
 
 
 def _table(check):

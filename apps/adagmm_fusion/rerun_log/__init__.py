@@ -16,7 +16,7 @@ and for a script, which gets before, after, every iteration and the curves:
 
 from adagmm_fusion.rerun_arguments import add_rerun_arguments
 from adagmm_fusion.rerun_log.blueprint import dashboard, script_dashboard
-from adagmm_fusion.rerun_log.fused_recording import fused_blueprint, log_fused_recording
+from adagmm_fusion.rerun_log.fused_recording import FusedRecording, fused_blueprint, log_fused_recording
 from adagmm_fusion.rerun_log.iterations import log_estimate_iterations
 from adagmm_fusion.rerun_log.pair import log_pair, log_refused_pair
 from adagmm_fusion.rerun_log.properties import log_recording_properties
@@ -24,11 +24,13 @@ from adagmm_fusion.rerun_log.registration_logger import RegistrationLogger
 from adagmm_fusion.rerun_log.streams import check_destination, open_stream
 from adagmm_fusion.rerun_log.summary import Progress, log_recording_summary
 from adagmm_fusion.rerun_log.verdict import Limits
+from adagmm_fusion.rerun_log.verified_rig import log_verified_rig, verified_rig_blueprint
 from adagmm_fusion.rerun_log.views import Eye
 from adagmm_fusion.rerun_log.when import When
 
 __all__ = [
     "Eye",
+    "FusedRecording",
     "Limits",
     "Progress",
     "RegistrationLogger",
@@ -43,6 +45,8 @@ __all__ = [
     "log_recording_properties",
     "log_recording_summary",
     "log_refused_pair",
+    "log_verified_rig",
     "open_stream",
     "script_dashboard",
+    "verified_rig_blueprint",
 ]

@@ -8,7 +8,9 @@
     /world/truth/source       where the calibration puts it
     /world/fused              the surface of all sensors at the estimate, textured
     /world/eye                from where the views look
-    /world/ways/<sensor>      where each frame of a whole recording was taken
+    /world/ways/<sensor>      where each frame of a whole recording was taken, and below it where it truly was
+    /world/loops              registrations between the frames
+    /world/camera             the frame of the timeline
 
 A sensor's own data lies below it, in its own frame, and never moves: only the sensor's transform does.
 """
@@ -21,6 +23,7 @@ INITIAL = f"{WORLD}/initial"
 TRUTH = f"{WORLD}/truth"
 FUSED = f"{WORLD}/fused"
 WAYS = f"{WORLD}/ways"
+LOOPS = f"{WORLD}/loops"
 DIFFERENCE = f"{WORLD}/difference"
 EYE = f"{WORLD}/eye"
 EYE_WITH_SENSORS = f"{WORLD}/eye_with_sensors"
@@ -113,4 +116,5 @@ TARGET = Sensor(f"{WORLD}/target")
 SOURCE = Sensor(f"{WORLD}/source")
 RECORDED_SOURCE = Sensor(f"{RECORDED}/source")
 INITIAL_SOURCE = Sensor(f"{INITIAL}/source")
+FUSED_CAMERA = Sensor(f"{WORLD}/camera")
 TRUE_SOURCE = Sensor(f"{TRUTH}/source")

@@ -1,48 +1,237 @@
-"""A whole recording, fused: its mesh, and where each frame was taken."""
+"""A whole recording, fused: its mesh, every frame's camera and image, the loops, and the way beside the true one."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import open3d as o3d
 import rerun as rr
 import rerun.blueprint as rrb
 
+from adagmm_fusion.frames.rgbd import RGBDFrame
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh
 from adagmm_fusion.rerun_log import entities
-from adagmm_fusion.rerun_log.cameras import FRUSTUM_LINE_WIDTH
-from adagmm_fusion.rerun_log.colors import SOURCE_COLOR
+from adagmm_fusion.rerun_log.cameras import FRUSTUM_DEPTH, FRUSTUM_LINE_WIDTH, log_frustum, log_pose
+from adagmm_fusion.rerun_log.colors import BAD_COLOR, GOOD_COLOR, SOURCE_COLOR, TRUTH_COLOR
+from adagmm_fusion.rerun_log.entities import FUSED_CAMERA
+from adagmm_fusion.rerun_log.guide import log_guide
+from adagmm_fusion.rerun_log.iterations import LEAST_SHOWN
+from adagmm_fusion.rerun_log.legends import RESIDUAL_RAMP, ramp_colors
 from adagmm_fusion.rerun_log.meshes import TWO_SIDED, log_textured_mesh
-from adagmm_fusion.rerun_log.views import Eye, scene
+from adagmm_fusion.rerun_log.views import Eye, curve, image, scene
 from adagmm_fusion.rerun_log.when import When
+from adagmm_fusion.sequence.edges import Edge
+from adagmm_fusion.sequence.pose_graph import LOOP_TOLERANCE_M
+from adagmm_fusion.sequence.trajectory_errors import align_rigid
+from adagmm_o3d.lie import se_inverse
 
-# The view is fitted to this share of the mesh: a few surfaces far away would make the rest small.
-SHOWN_PERCENT = 90
+# What is drawn of a camera lies within these corners about its place.
+CAMERA_CORNERS = FRUSTUM_DEPTH * np.array(((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)))
+# The width of a way's line, as a share of its extent.
+LINE_SHARE = 0.01
+WORST_SHOWN = 20
+FRAME_JPEG_QUALITY = 60  # there may be a thousand
+MILLIMETRES_PER_METRE = 1000.0
 
 
-def fused_blueprint(vertices: np.ndarray) -> rrb.Blueprint:
-    """One view of the mesh with vertices (N, 3) and of the sensors' ways."""
-    points = np.asarray(vertices)
-    distance = np.linalg.norm(points - np.median(points, axis=0), axis=1)
-    most = points[distance <= np.percentile(distance, SHOWN_PERCENT)]
-    view = scene("Fused", dict.fromkeys((entities.FUSED, f"{entities.WAYS}/**")), Eye.around(most))
-    return rrb.Blueprint(view, collapse_panels=True, auto_layout=False, auto_views=False)
+@dataclass(frozen=True, eq=False)
+class FusedRecording:
+    """What became of a recording's frames.
+
+    poses : T_world_camera (4, 4) of the frames that are placed, by their number.    sensors : of all frames.
+    truth : true T_world_camera of those that have one, in a world of its own.
+    edges : the registrations between frames.
+    left_out : numbers of the frames without a pose.
+    """
+
+    poses: Mapping[int, np.ndarray]
+    sensors: Mapping[int, str]
+    truth: Mapping[int, np.ndarray]
+    edges: Sequence[Edge] = ()
+    left_out: Sequence[int] = ()
+
+
+def fused_blueprint(vertices: np.ndarray, poses: Mapping[int, np.ndarray]) -> rrb.Blueprint:
+    """The mesh with vertices (N, 3), the ways and the loops; beside it the frames' images, errors and the report.
+
+    poses : T_world_camera (4, 4) of the frames; the views are fitted to them and to the mesh.
+    """
+    points, places = np.asarray(vertices), np.array([pose[:3, 3] for pose in poses.values()])
+    whole, way = Eye.seeing([points, places + CAMERA_CORNERS[0], places + CAMERA_CORNERS[1]]), Eye.seeing([places])
+    ways = dict.fromkeys((entities.FUSED, f"{entities.WAYS}/**", FUSED_CAMERA.image))
+    loops = dict.fromkeys((f"{entities.WAYS}/**", f"{entities.LOOPS}/**"))
+    ate = entities.log10_of(entities.TRANSLATION_ERROR_MM)
+    page = rrb.Horizontal(
+        rrb.Vertical(
+            scene("Fused: estimate orange, truth green", ways, whole),
+            rrb.Horizontal(
+                scene("Registrations: by residual, dropped red", loops, way),
+                curve("Off along the way mm, log₁₀", ate),
+            ),
+            row_shares=[3, 2],
+        ),
+        rrb.Vertical(
+            image("Frame", FUSED_CAMERA.image, [FUSED_CAMERA.rgb]),
+            rrb.TextDocumentView(name="Report", origin=entities.REPORT),
+        ),
+        column_shares=[3, 1],
+        name="Fused",
+    )
+    guide = rrb.Horizontal(rrb.TextDocumentView(name="How to read this", origin=entities.GUIDE), name="Guide")
+    return rrb.Blueprint(
+        rrb.Tabs(page, guide),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=entities.FRAME, play_state="following"),
+        auto_layout=False,
+        auto_views=False,
+    )
 
 
 def log_fused_recording(
-    rec: rr.RecordingStream, mesh: TexturedMesh | o3d.geometry.TriangleMesh, ways: dict[str, np.ndarray]
+    rec: rr.RecordingStream,
+    mesh: TexturedMesh | o3d.geometry.TriangleMesh,
+    fused: FusedRecording,
+    load: Callable[[int], RGBDFrame],
 ) -> None:
-    """Log the mesh, textured or coloured, and each sensor's places (N, 3) in the world, in order."""
+    """Log the mesh, textured or coloured, and what became of the frames; `load` gives one by its number."""
     rec.log(entities.WORLD, rr.ViewCoordinates.RDF, static=True)
+    log_guide(rec)
+    _log_mesh(rec, mesh)
+    aligned = aligned_truth(fused)
+    _log_ways(rec, fused, aligned)
+    residuals = edge_residuals(fused)
+    _log_edges(rec, fused, residuals)
+    errors_mm = {
+        frame: MILLIMETRES_PER_METRE * float(np.linalg.norm(fused.poses[frame][:3, 3] - place))
+        for frame, place in aligned.items()
+    }
+    _log_frames(rec, fused, errors_mm, load)
+    text = fused_report(fused, residuals, errors_mm)
+    rec.log(entities.REPORT, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+
+
+def aligned_truth(fused: FusedRecording) -> dict[int, np.ndarray]:
+    """True places (3,) of the placed frames, moved to the estimate's world by least squares; none of fewer than 3."""
+    both = [frame for frame in sorted(fused.poses) if frame in fused.truth]
+    if len(both) < 3:
+        return {}
+    true, estimated = (np.array([poses[frame][:3, 3] for frame in both]) for poses in (fused.truth, fused.poses))
+    T = align_rigid(true, estimated)
+    return dict(zip(both, true @ T[:3, :3].T + T[:3, 3], strict=True))
+
+
+def edge_residuals(fused: FusedRecording) -> dict[tuple[int, int], tuple[float, bool]]:
+    """Of each usable edge between placed frames: how far [mm] the poses are from it, and whether it was kept.
+
+    A loop closure that is farther than the pose graph's tolerance is one that it dropped.
+    """
+    found = {}
+    for edge in fused.edges:
+        if edge.usable and edge.source in fused.poses and edge.target in fused.poses:
+            T = se_inverse(fused.poses[edge.target]) @ fused.poses[edge.source]
+            off = float(np.linalg.norm(T[:3, 3] - edge.transformation[:3, 3]))
+            found[edge.source, edge.target] = (MILLIMETRES_PER_METRE * off, off <= LOOP_TOLERANCE_M)
+    return found
+
+
+def fused_report(
+    fused: FusedRecording, residuals: Mapping[tuple[int, int], tuple[float, bool]], errors_mm: Mapping[int, float]
+) -> str:
+    """Markdown: how many frames are placed, what holds them together, how far they are off, the worst first."""
+    frames = len(fused.poses) + len(fused.left_out)
+    refused = [edge for edge in fused.edges if not edge.usable]
+    dropped = [ends for ends, (_, kept) in residuals.items() if not kept]
+    lines = [f"### {len(fused.poses)} of {frames} frames fused", ""]
+    if errors_mm:
+        ate = np.sqrt(np.mean(np.square(list(errors_mm.values()))))
+        worst = max(errors_mm, key=lambda frame: errors_mm[frame])
+        lines += [f"**ATE {ate:.1f} mm**, root mean square; worst: frame {worst}, {errors_mm[worst]:.0f} mm.", ""]
+    if fused.left_out:
+        lines += [f"Left out, their pose is not known: {', '.join(map(str, fused.left_out))}.", ""]
+    lines += [
+        f"{len(residuals) - len(dropped)} registrations used, {len(dropped)} dropped, {len(refused)} refused.",
+        "",
+    ]
+    if residuals:
+        lines += ["| source | target | off mm | |", "|--:|--:|--:|:--|"]
+        by_residual = sorted(residuals.items(), key=lambda item: -item[1][0])
+        lines += [
+            f"| {s} | {t} | {mm:.0f} | {'' if kept else '× dropped'} |" for (s, t), (mm, kept) in by_residual[:20]
+        ]
+    return "\n".join(lines)
+
+
+def _log_mesh(rec: rr.RecordingStream, mesh: TexturedMesh | o3d.geometry.TriangleMesh) -> None:
     if isinstance(mesh, TexturedMesh):
         log_textured_mesh(rec, entities.FUSED, mesh, When())
-    else:
-        colors = np.floor(255.0 * np.asarray(mesh.vertex_colors) + 0.5).astype(np.uint8)
-        archetype = rr.Mesh3D(
-            vertex_positions=np.asarray(mesh.vertices, np.float32),
-            triangle_indices=np.asarray(mesh.triangles, np.uint32),
-            vertex_colors=colors,
-            face_rendering=TWO_SIDED,
-        )
-        rec.log(entities.FUSED, archetype, static=True)
-    for sensor, places in ways.items():
+        return
+    colors = np.floor(255.0 * np.asarray(mesh.vertex_colors) + 0.5).astype(np.uint8)
+    archetype = rr.Mesh3D(
+        vertex_positions=np.asarray(mesh.vertices, np.float32),
+        triangle_indices=np.asarray(mesh.triangles, np.uint32),
+        vertex_colors=colors,
+        face_rendering=TWO_SIDED,
+    )
+    rec.log(entities.FUSED, archetype, static=True)
+
+
+def line_width(fused: FusedRecording) -> float:
+    """Of the ways [m]: thin beside their extent, and never thicker than cameras are drawn."""
+    places = np.array([pose[:3, 3] for pose in fused.poses.values()])
+    return min(FRUSTUM_LINE_WIDTH, max(LINE_SHARE * float(np.ptp(places, axis=0).max()), 1e-4))
+
+
+def _log_ways(rec: rr.RecordingStream, fused: FusedRecording, aligned: Mapping[int, np.ndarray]) -> None:
+    width = line_width(fused)
+    for sensor in dict.fromkeys(fused.sensors.values()):
+        frames = [frame for frame in sorted(fused.poses) if fused.sensors[frame] == sensor]
         entity = f"{entities.WAYS}/{sensor}"
-        rec.log(entity, rr.LineStrips3D([places], colors=SOURCE_COLOR, radii=FRUSTUM_LINE_WIDTH), static=True)
-        rec.log(entity, rr.Points3D(places, colors=SOURCE_COLOR, radii=2 * FRUSTUM_LINE_WIDTH), static=True)
+        ways = {
+            entity: (np.array([fused.poses[frame][:3, 3] for frame in frames]), SOURCE_COLOR),
+            f"{entity}/truth": (np.array([aligned[frame] for frame in frames if frame in aligned]), TRUTH_COLOR),
+        }
+        for name, (places, color) in ways.items():
+            if len(places):
+                line = rr.LineStrips3D([places], colors=color, radii=width)
+                rec.log(name, line, static=True)
+                rec.log(name, rr.Points3D(places, colors=color, radii=2 * width), static=True)
+
+
+def _log_edges(
+    rec: rr.RecordingStream, fused: FusedRecording, residuals: Mapping[tuple[int, int], tuple[float, bool]]
+) -> None:
+    for name, wanted in (("kept", True), ("dropped", False)):
+        chosen = [(ends, mm) for ends, (mm, kept) in residuals.items() if kept == wanted]
+        if not chosen:
+            continue
+        strips = [[fused.poses[source][:3, 3], fused.poses[target][:3, 3]] for (source, target), _ in chosen]
+        residual_mm = np.array([mm for _, mm in chosen])
+        colors = ramp_colors(residual_mm, MILLIMETRES_PER_METRE * LOOP_TOLERANCE_M, RESIDUAL_RAMP)
+        lines = rr.LineStrips3D(strips, colors=colors if wanted else BAD_COLOR, radii=0.5 * line_width(fused))
+        numbers = rr.AnyValues(
+            source_frame=np.array([ends[0] for ends, _ in chosen]),
+            target_frame=np.array([ends[1] for ends, _ in chosen]),
+            residual_mm=residual_mm,
+        )
+        rec.log(f"{entities.LOOPS}/{name}", lines, numbers, static=True)
+
+
+def _log_frames(
+    rec: rr.RecordingStream,
+    fused: FusedRecording,
+    errors_mm: Mapping[int, float],
+    load: Callable[[int], RGBDFrame],
+) -> None:
+    metric = entities.TRANSLATION_ERROR_MM
+    style = rr.SeriesLines(names="off, log₁₀ mm", colors=GOOD_COLOR, widths=2.0)
+    rec.log(entities.log10_of(metric), style, static=True)
+    for frame in sorted(fused.poses):
+        shown = load(frame)
+        when = When(frame, frame, shown.timestamp)
+        log_pose(rec, FUSED_CAMERA, fused.poses[frame], when)
+        log_frustum(rec, FUSED_CAMERA, shown.intrinsics, SOURCE_COLOR, when)
+        when.log(rec, FUSED_CAMERA.rgb, rr.Image(shown.color).compress(jpeg_quality=FRAME_JPEG_QUALITY))
+        if frame in errors_mm:
+            when.log(rec, metric, rr.Scalars(errors_mm[frame]))
+            when.log(rec, entities.log10_of(metric), rr.Scalars(np.log10(max(errors_mm[frame], LEAST_SHOWN))))

@@ -152,6 +152,8 @@ def log_refused_pair(
     """
     when = When(frame_index, em_step)
     when.clear(rec, entities.WORLD)
+    for eye in (entities.EYE, entities.EYE_WITH_SENSORS):  # where there is none, a view shows axes
+        log_eye(rec, eye, [FRUSTUM_CORNERS], when)
     if before is not None:
         target, source = before.target.intrinsics, before.source.intrinsics
         log_blank_images(rec, (target.width, target.height), (source.width, source.height), when)

@@ -10,6 +10,7 @@ from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMa
 
 from adagmm_fusion.rerun_log import entities
 from adagmm_fusion.rerun_log.colors import BACKGROUND
+from adagmm_fusion.rerun_log.eyes import eye_pose
 
 
 @dataclass(frozen=True)
@@ -18,6 +19,13 @@ class Eye:
 
     position: tuple[float, float, float] = (0.6, -0.9, -1.2)
     look_target: tuple[float, float, float] = (0.0, 0.0, 2.0)
+
+    @classmethod
+    def seeing(cls, clouds: list[np.ndarray]) -> "Eye":
+        """An eye before which clouds (n, 3) fill the picture; see `eye_pose`."""
+        T = eye_pose(clouds)
+        ahead = float(np.median((np.concatenate(clouds) - T[:3, 3]) @ T[:3, 2]))
+        return cls(_three(T[:3, 3]), _three(T[:3, 3] + max(ahead, 0.1) * T[:3, 2]))
 
     @classmethod
     def around(cls, points: np.ndarray) -> "Eye":

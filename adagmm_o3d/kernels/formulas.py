@@ -12,8 +12,8 @@ from types import SimpleNamespace
 LOG2_SCALE = 0.5 / math.log(2.0)
 
 
-def build(jit):
-    """The formulas, compiled by `jit`, as a namespace."""
+def build(jit, inverse_root):
+    """The formulas, compiled by `jit`, as a namespace; `inverse_root` is the device's 1/√x, compiled for it."""
 
     @jit
     def symmetric_product(p0, p1, p2, p3, p4, p5, x, y, z):
@@ -72,6 +72,39 @@ def build(jit):
         return d if d < cap else cap
 
     @jit
+    def convolved_full(share, d0, d1, d2, s0, s1, s2, s3, s4, s5):
+        """A pair of convolved Gaussians, whose offset is d and whose packed covariances add up to S.
+
+        The height share · |S|^(-1/2), 1/|S|, the squared Mahalanobis distance q, and, times |S|, S⁻¹ d and S⁻¹: the
+        pair weighs height · exp(-q/2).
+        """
+        c0, c1, c2, c3, c4, c5 = adjugate(s0, s1, s2, s3, s4, s5)
+        root = inverse_root(dot(s0, s1, s2, c0, c1, c2))
+        inverse = root * root
+        v0, v1, v2 = symmetric_product(c0, c1, c2, c3, c4, c5, d0, d1, d2)
+        q = dot(d0, d1, d2, v0, v1, v2) * inverse
+        return share * root, inverse, q, v0, v1, v2, c0, c1, c2, c3, c4, c5
+
+    @jit
+    def convolved_planar(share, d0, d1, s0, s1, s3):
+        """The same in the plane: height, 1/|S|, q, and S⁻¹ d times |S|; S⁻¹ times |S| is (s3, -s1, s0)."""
+        root = inverse_root(s0 * s3 - s1 * s1)
+        inverse = root * root
+        v0 = s3 * d0 - s1 * d1
+        v1 = s0 * d1 - s1 * d0
+        return share * root, inverse, (d0 * v0 + d1 * v1) * inverse, v0, v1
+
+    @jit
+    def convolved_isotropic(share, d0, d1, d2, s, planar):
+        """The same where S is s times the identity: height, 1/s, q."""
+        root = inverse_root(s)
+        precision = root * root
+        q = precision * dot(d0, d1, d2, d0, d1, d2)
+        # |S|^(-1/2): the precision to the power D / 2.
+        height = share * precision
+        return height if planar else height * root, precision, q
+
+    @jit
     def normal_equations(y0, y1, y2, p0, p1, p2, p3, p4, p5, u0, u1, u2, t0, t1, t2):
         """What a point y with precision P, pull u and turn t adds to the 6x6 system of a left perturbation (ω, v).
 
@@ -114,6 +147,9 @@ def build(jit):
 
     return SimpleNamespace(
         adjugate=adjugate,
+        convolved_full=convolved_full,
+        convolved_planar=convolved_planar,
+        convolved_isotropic=convolved_isotropic,
         capped_distance=capped_distance,
         normal_equations=normal_equations,
         symmetric_product=symmetric_product,

@@ -1,7 +1,18 @@
-"""The order of the numbers that one source point, and one pass over all pairs, leave behind; shared by all devices.
+"""The order of the numbers that make a point, and that a source point and a pass over all pairs leave behind.
 
-C is the weight of a pair, d = y - x, A and B the two precisions over sigma (the paper's Eq. 5).
+It is that of all devices. C is the weight of a pair, d = y - x, A and B the two precisions over sigma (the paper's
+Eq. 5).
 """
+
+# A point of a mixture, component by component.
+X = 0  # 0..2: x, y, z
+SHARE = 3  # what the weight of a pair is multiplied with
+# On the CPU, where a point is a column of a packed target, then come:
+FACTOR = 4  # what its posterior does to the weights of its pairs
+MATRIX = 5  # its covariance at σ, packed (6) or its one diagonal entry (1)
+# On a device, where most tiles have no factor, the other way round:
+TILE_MATRIX = 4
+TILE_FACTOR, TILE_FACTOR_ISOTROPIC = 10, 5
 
 # Sums over all target points for one source point. With convolved weights the precision P of the pair stands for
 # A + B, and nothing turns.

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.grouping import Groups
 from adagmm_o3d.kernels.cpu.convolved_pass import pack
-from adagmm_o3d.kernels.cpu.convolved_rows import MATRIX
 from adagmm_o3d.kernels.cpu.farthest_points import farthest_points
 from adagmm_o3d.kernels.cpu.tiles import make_boxes, maxima, morton_order
 from adagmm_o3d.kernels.formulas import LOG2_SCALE
+from adagmm_o3d.kernels.layout import MATRIX
 from adagmm_o3d.mixtures.colours import ColourModel
 from adagmm_o3d.mixtures.mixture import Mixture, packed
 from adagmm_o3d.mixtures.sampling import some_of

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.kernels.cpu.adaptive_rows import adaptive_sums
 from adagmm_o3d.kernels.cpu.convolved_pass import convolution_sums, pack
-from adagmm_o3d.kernels.cpu.convolved_rows import FACTOR, MATRIX
 from adagmm_o3d.kernels.cpu.culling import CHUNK, CLUSTER
 from adagmm_o3d.kernels.cpu.nearest import nearest_sq
 from adagmm_o3d.kernels.cpu.ranges import run_in_ranges
 from adagmm_o3d.kernels.cpu.tiles import Tiles, make_tiles, morton_order
 from adagmm_o3d.kernels.formulas import LOG2_SCALE
-from adagmm_o3d.kernels.layout import TOTAL_ENERGY, TOTAL_SUMS, TOTAL_WEIGHT
+from adagmm_o3d.kernels.layout import FACTOR, MATRIX, TOTAL_ENERGY, TOTAL_SUMS, TOTAL_WEIGHT
 from adagmm_o3d.mixtures.colours import ColourModel
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.pairs.protocol import PairSums, PosteriorSums

@@ -116,8 +116,8 @@ class CudaPairLoop:
         self._mixtures = source, target
         isotropic = source.isotropic and target.isotropic
         self._kernels = ISOTROPIC if isotropic else ANISOTROPIC
-        self._flat = source.dimension == 2
-        self._unit = LOG2_SCALE ** (1.0 if self._flat else 1.5)  # |Σ|^(-1/2) in powers of two
+        self._planar = source.dimension == 2
+        self._unit = LOG2_SCALE ** (1.0 if self._planar else 1.5)  # |Σ|^(-1/2) in powers of two
         self._source, self._target = make_side(source, isotropic), make_side(target, isotropic)
         self._source_boxes, self._target_boxes = self._source.boxes, self._target.boxes
         self._source_tiles, self._target_tiles = self._source_boxes.shape[0], self._target_boxes.shape[0]
@@ -154,7 +154,7 @@ class CudaPairLoop:
         them, else when somebody asks.
         """
         source, _, source_weights = self._covariances
-        self._move(pose, np.float32(sigma), self._flat, source)
+        self._move(pose, np.float32(sigma), self._planar, source)
         hues = self._hues(colour)
         expected = 1.0 if colour is None else colour.expected
         # The kernels leave out by how much any two points' colours agree.
@@ -175,7 +175,7 @@ class CudaPairLoop:
         def find_columns() -> Array:
             if columns is not None:
                 return columns.read() / expected
-            self._move(pose, np.float32(sigma), self._flat, source)
+            self._move(pose, np.float32(sigma), self._planar, source)
             return self._reduced_columns(sigma, hues).read() / expected
 
         return CudaPosteriorSums(self._add_up(), posteriors, find_columns)
@@ -274,7 +274,7 @@ class CudaPairLoop:
             self._covariances[1],
             self._target_boxes,
             np.float32(sigma),
-            self._flat,
+            self._planar,
             self._densities32,
             np.float32(uniform),
             np.float32(mutuality),
@@ -292,7 +292,7 @@ class CudaPairLoop:
             self._covariances[1],
             self._target_boxes,
             np.float32(sigma),
-            self._flat,
+            self._planar,
             self._moved,
             self._moved_boxes,
             hues.source,
@@ -326,10 +326,10 @@ class CudaPairLoop:
     def _nearest(self) -> Any:
         return cuda.device_array(self._source_tiles * TILE, np.float32)
 
-    def _move(self, pose: Array, scale: np.float32, flat: bool, source: Any) -> None:
+    def _move(self, pose: Array, scale: np.float32, planar: bool, source: Any) -> None:
         rows = tuple(np.float32(p) for p in pose[:3].ravel())
         self._kernels.move[self._source_tiles, TILE](
-            rows, scale, flat, source, self._source_boxes, self._moved, self._moved_boxes
+            rows, scale, planar, source, self._source_boxes, self._moved, self._moved_boxes
         )
 
     def _add_up(self) -> Array:

@@ -7,10 +7,10 @@ import reference
 from mixtures import random_colours, random_points_and_covariances, random_pose
 
 from adagmm_o3d.kernels.cpu.convolved_pass import FEW_TILES
-from adagmm_o3d.kernels.cpu.convolved_rows import SHARE
 from adagmm_o3d.kernels.cpu.culling import CHUNK, CLUSTER, GROUP, RUN, TILE
 from adagmm_o3d.kernels.cpu.exp2 import exp2_float32
 from adagmm_o3d.kernels.formulas import LOG2_SCALE
+from adagmm_o3d.kernels.layout import SHARE
 from adagmm_o3d.mixtures.mixture import make_mixture
 from adagmm_o3d.pairs.cpu_pairs import BANDS, CUT_BITS, PairLoop
 
@@ -245,7 +245,7 @@ def test_tiles_out_of_reach_are_not_looked_at_though_others_of_their_group_are()
     target = make_mixture("target", np.concatenate([near, far]), None)
     loop = PairLoop(make_mixture("source", near + 1e-3, None), target)
     expected = loop.posterior_sums(np.eye(4), 1e-4, 0.1)
-    loop._convolved[2][SHARE, TILE:] = np.nan
+    loop._plain[SHARE, TILE:] = np.nan
     sums = loop.posterior_sums(np.eye(4), 1e-4, 0.1)
     np.testing.assert_array_equal(sums.hessian, expected.hessian)
     np.testing.assert_array_equal(sums.column_densities, expected.column_densities)
@@ -260,7 +260,7 @@ def test_of_few_tiles_all_are_looked_at_if_any_is_in_reach():
         for place in (left + np.array([2.0, 0.0, 0.0]), left)
     )
     for loop in between, at_one:
-        loop._convolved[2][SHARE, TILE:] = np.nan
+        loop._plain[SHARE, TILE:] = np.nan
     assert np.isfinite(between.posterior_sums(np.eye(4), 1e-4, 0.1).row_weights).all()
     assert np.isnan(at_one.posterior_sums(np.eye(4), 1e-4, 0.1).row_weights).all()
 

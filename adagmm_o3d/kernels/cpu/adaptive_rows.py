@@ -1,7 +1,8 @@
 """The paper's E-step: every pair weighted by both points' own Gaussians, and the sums that its M-step needs.
 
 Every array is a structure of arrays (one row per component), so that the innermost loop, over target points, becomes
-vector code. Pairs are evaluated in float32 and summed in float64.
+vector code. Pairs are evaluated in float32 and summed in float64. The weight itself, an amplitude times the sum of two
+exponentials, is written where it is used: each device has an exponential of its own.
 """
 
 import numpy as np

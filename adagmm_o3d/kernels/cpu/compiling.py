@@ -2,6 +2,7 @@
 
 import hashlib
 import logging
+import math
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -64,5 +65,13 @@ def _announce() -> None:
 
 
 event.register("numba:compile", _Announcement())
+
+
+@njit(**FLAGS)
+def inverse_root(x):
+    """1/√x of a float32 or a float64, in its own type."""
+    return F1 / math.sqrt(x)
+
+
 # The formulas for the CPU.
-formulas = build(njit(**FLAGS))
+formulas = build(njit(**FLAGS), inverse_root)

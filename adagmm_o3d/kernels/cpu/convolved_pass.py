@@ -15,10 +15,6 @@ from numpy.typing import NDArray
 
 from adagmm_o3d.kernels.cpu.compiling import F0, F1, FLAGS, SERIAL_KERNEL_FLAGS, source_stamp
 from adagmm_o3d.kernels.cpu.convolved_rows import (
-    FACTOR,
-    MATRIX,
-    SHARE,
-    X,
     densities_full,
     densities_isotropic,
     densities_planar,
@@ -29,7 +25,7 @@ from adagmm_o3d.kernels.cpu.convolved_rows import (
 from adagmm_o3d.kernels.cpu.culling import BLOCK, CLUSTER, GROUP, RUN, TILE, cluster_box, largest, reach
 from adagmm_o3d.kernels.cpu.moving import move_symmetric
 from adagmm_o3d.kernels.cpu.normal_equations import add_rows
-from adagmm_o3d.kernels.layout import DENSITY, ROW_SUMS, TOTAL_MATCHED, TOTAL_SUMS
+from adagmm_o3d.kernels.layout import DENSITY, FACTOR, MATRIX, ROW_SUMS, SHARE, TOTAL_MATCHED, TOTAL_SUMS, X
 
 # Points are filled up to a multiple of this, the floats of the widest vector register, with points of no weight: no
 # pair is left over for scalar code. A tile is as long.

@@ -10,25 +10,22 @@ exponent, so it takes no further exponential, as a Gaussian mixed with a constan
 the mixture led to the same poses. Without colours `hue` is None, and Numba compiles the loops without them.
 """
 
-import math
-
 import numpy as np
 from numba import njit
 
-from adagmm_o3d.kernels.cpu.compiling import F0, F1, FLAGS, formulas
+from adagmm_o3d.kernels.cpu.compiling import F0, FLAGS, formulas
 from adagmm_o3d.kernels.cpu.culling import TILE
 from adagmm_o3d.kernels.cpu.exp2 import exp2_float32, exp2_parts
-from adagmm_o3d.kernels.layout import DENSITY, ENERGY, PRECISION, PULL, WEIGHT
+from adagmm_o3d.kernels.layout import DENSITY, ENERGY, FACTOR, MATRIX, PRECISION, PULL, SHARE, WEIGHT, X
 
-dot = formulas.dot
-adjugate, symmetric_product = formulas.adjugate, formulas.symmetric_product
+convolved_full, convolved_planar = formulas.convolved_full, formulas.convolved_planar
+convolved_isotropic = formulas.convolved_isotropic
 capped_distance = formulas.capped_distance
 
-# The rows of a packed target: coordinates, share of the mixture, factor of the weight, matrix at σ (1 or 6 rows), and
-# where there are colours three rows of those. Loops
-# over two indices become vector code because neither can count from the end: one is a constant, one unsigned.
-X, SHARE, FACTOR, MATRIX = 0, 3, 4, 5
+# Where there are colours a packed target has three rows of those behind its matrix.
 FULL_HUE, PLAIN_HUE = MATRIX + 6, MATRIX + 1
+# Loops over two indices, a row and a point, become vector code because neither can count from the end: one is a
+# constant, one unsigned.
 WHOLE = np.uint64(TILE)
 
 
@@ -68,16 +65,18 @@ def moments_full(target, i, j, count, y, turned, hue, cap, rows):
             dx = y0 - target[X, n]
             dy = y1 - target[X + 1, n]
             dz = y2 - target[X + 2, n]
-            s0 = target[MATRIX, n] + b0
-            s1 = target[MATRIX + 1, n] + b1
-            s2 = target[MATRIX + 2, n] + b2
-            c0, c1, c2, c3, c4, c5 = adjugate(
-                s0, s1, s2, target[MATRIX + 3, n] + b3, target[MATRIX + 4, n] + b4, target[MATRIX + 5, n] + b5
+            height, inverse, q, vx, vy, vz, c0, c1, c2, c3, c4, c5 = convolved_full(
+                target[SHARE, n],
+                dx,
+                dy,
+                dz,
+                target[MATRIX, n] + b0,
+                target[MATRIX + 1, n] + b1,
+                target[MATRIX + 2, n] + b2,
+                target[MATRIX + 3, n] + b3,
+                target[MATRIX + 4, n] + b4,
+                target[MATRIX + 5, n] + b5,
             )
-            root = F1 / math.sqrt(dot(s0, s1, s2, c0, c1, c2))
-            inverse = root * root
-            vx, vy, vz = symmetric_product(c0, c1, c2, c3, c4, c5, dx, dy, dz)
-            q = dot(dx, dy, dz, vx, vy, vz) * inverse
             if hue is not None:
                 unlike = capped_distance(
                     h0, h1, h2, target[FULL_HUE, n], target[FULL_HUE + 1, n], target[FULL_HUE + 2, n], cap
@@ -87,7 +86,7 @@ def moments_full(target, i, j, count, y, turned, hue, cap, rows):
                 exponent = q
             fraction, whole = exp2_parts(-exponent)
             factor = target[FACTOR, n]
-            g = fraction * (target[SHARE, n] * root * whole)
+            g = fraction * (height * whole)
             density += g
             c = g * factor
             f = g * (factor * inverse)
@@ -140,11 +139,7 @@ def moments_planar(target, i, j, count, y, turned, hue, cap, rows):
             s0 = target[MATRIX, n] + b0
             s1 = target[MATRIX + 1, n] + b1
             s3 = target[MATRIX + 3, n] + b3
-            root = F1 / math.sqrt(s0 * s3 - s1 * s1)
-            inverse = root * root
-            vx = s3 * dx - s1 * dy
-            vy = s0 * dy - s1 * dx
-            q = (dx * vx + dy * vy) * inverse
+            height, inverse, q, vx, vy = convolved_planar(target[SHARE, n], dx, dy, s0, s1, s3)
             if hue is not None:
                 unlike = capped_distance(
                     h0, h1, h2, target[FULL_HUE, n], target[FULL_HUE + 1, n], target[FULL_HUE + 2, n], cap
@@ -154,7 +149,7 @@ def moments_planar(target, i, j, count, y, turned, hue, cap, rows):
                 exponent = q
             fraction, whole = exp2_parts(-exponent)
             factor = target[FACTOR, n]
-            g = fraction * (target[SHARE, n] * root * whole)
+            g = fraction * (height * whole)
             density += g
             c = g * factor
             f = g * (factor * inverse)
@@ -195,10 +190,7 @@ def moments_isotropic(target, i, j, planar, count, y, turned, hue, cap, rows):
             dx = y0 - target[X, n]
             dy = y1 - target[X + 1, n]
             dz = y2 - target[X + 2, n]
-            root = F1 / math.sqrt(target[MATRIX, n] + b)
-            precision = root * root
-            q = precision * dot(dx, dy, dz, dx, dy, dz)
-            # |Σ|^(-1/2): the precision to the power D / 2.
+            height, precision, q = convolved_isotropic(target[SHARE, n], dx, dy, dz, target[MATRIX, n] + b, planar)
             if hue is not None:
                 unlike = capped_distance(
                     h0,
@@ -214,7 +206,7 @@ def moments_isotropic(target, i, j, planar, count, y, turned, hue, cap, rows):
                 exponent = q
             fraction, whole = exp2_parts(-exponent)
             factor = target[FACTOR, n]
-            g = fraction * (target[SHARE, n] * precision * (F1 if planar else root) * whole)
+            g = fraction * (height * whole)
             density += g
             c = g * factor
             f = g * (factor * precision)
@@ -251,15 +243,18 @@ def densities_full(target, i, j, count, own, y, turned, hue, cap, columns, rows)
             dx = y0 - target[X, n]
             dy = y1 - target[X + 1, n]
             dz = y2 - target[X + 2, n]
-            s0 = target[MATRIX, n] + b0
-            s1 = target[MATRIX + 1, n] + b1
-            s2 = target[MATRIX + 2, n] + b2
-            c0, c1, c2, c3, c4, c5 = adjugate(
-                s0, s1, s2, target[MATRIX + 3, n] + b3, target[MATRIX + 4, n] + b4, target[MATRIX + 5, n] + b5
+            height, _, q, _, _, _, _, _, _, _, _, _ = convolved_full(
+                target[SHARE, n],
+                dx,
+                dy,
+                dz,
+                target[MATRIX, n] + b0,
+                target[MATRIX + 1, n] + b1,
+                target[MATRIX + 2, n] + b2,
+                target[MATRIX + 3, n] + b3,
+                target[MATRIX + 4, n] + b4,
+                target[MATRIX + 5, n] + b5,
             )
-            root = F1 / math.sqrt(dot(s0, s1, s2, c0, c1, c2))
-            vx, vy, vz = symmetric_product(c0, c1, c2, c3, c4, c5, dx, dy, dz)
-            q = dot(dx, dy, dz, vx, vy, vz) * (root * root)
             if hue is not None:
                 unlike = capped_distance(
                     h0, h1, h2, target[FULL_HUE, n], target[FULL_HUE + 1, n], target[FULL_HUE + 2, n], cap
@@ -267,7 +262,7 @@ def densities_full(target, i, j, count, own, y, turned, hue, cap, columns, rows)
                 exponent = q + unlike
             else:
                 exponent = q
-            g = target[SHARE, n] * root * exp2_float32(-exponent)
+            g = height * exp2_float32(-exponent)
             density += g
             columns[n] += weight * g
         rows[DENSITY, k] += density
@@ -287,11 +282,9 @@ def densities_planar(target, i, j, count, own, y, turned, hue, cap, columns, row
             n = first + m
             dx = y0 - target[X, n]
             dy = y1 - target[X + 1, n]
-            s0 = target[MATRIX, n] + b0
-            s1 = target[MATRIX + 1, n] + b1
-            s3 = target[MATRIX + 3, n] + b3
-            root = F1 / math.sqrt(s0 * s3 - s1 * s1)
-            q = (dx * (s3 * dx - s1 * dy) + dy * (s0 * dy - s1 * dx)) * (root * root)
+            height, _, q, _, _ = convolved_planar(
+                target[SHARE, n], dx, dy, target[MATRIX, n] + b0, target[MATRIX + 1, n] + b1, target[MATRIX + 3, n] + b3
+            )
             if hue is not None:
                 unlike = capped_distance(
                     h0, h1, h2, target[FULL_HUE, n], target[FULL_HUE + 1, n], target[FULL_HUE + 2, n], cap
@@ -299,7 +292,7 @@ def densities_planar(target, i, j, count, own, y, turned, hue, cap, columns, row
                 exponent = q + unlike
             else:
                 exponent = q
-            g = target[SHARE, n] * root * exp2_float32(-exponent)
+            g = height * exp2_float32(-exponent)
             density += g
             columns[n] += weight * g
         rows[DENSITY, k] += density
@@ -319,9 +312,7 @@ def densities_isotropic(target, i, j, planar, count, own, y, turned, hue, cap, c
             dx = y0 - target[X, n]
             dy = y1 - target[X + 1, n]
             dz = y2 - target[X + 2, n]
-            root = F1 / math.sqrt(target[MATRIX, n] + b)
-            precision = root * root
-            q = precision * dot(dx, dy, dz, dx, dy, dz)
+            height, _, q = convolved_isotropic(target[SHARE, n], dx, dy, dz, target[MATRIX, n] + b, planar)
             if hue is not None:
                 unlike = capped_distance(
                     h0,
@@ -335,7 +326,7 @@ def densities_isotropic(target, i, j, planar, count, own, y, turned, hue, cap, c
                 exponent = q + unlike
             else:
                 exponent = q
-            g = target[SHARE, n] * precision * (F1 if planar else root) * exp2_float32(-exponent)
+            g = height * exp2_float32(-exponent)
             density += g
             columns[n] += weight * g
         rows[DENSITY, k] += density

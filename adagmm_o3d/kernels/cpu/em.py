@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from adagmm_o3d.kernels.cpu.acceleration import STATE, TURN_AND_SHIFT
 from adagmm_o3d.kernels.cpu.compiling import FLAGS, SERIAL_KERNEL_FLAGS, source_stamp
 from adagmm_o3d.kernels.cpu.convolved_pass import ONE, ZERO, convolved_pass
-from adagmm_o3d.kernels.cpu.convolved_rows import MATRIX, SHARE
 from adagmm_o3d.kernels.formulas import LOG2_SCALE
-from adagmm_o3d.kernels.layout import TOTAL_ENERGY, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
+from adagmm_o3d.kernels.layout import MATRIX, SHARE, TOTAL_ENERGY, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
 from adagmm_o3d.kernels.update import (
     MOVING,
     NO_OVERLAP,

@@ -13,7 +13,7 @@ from adagmm_o3d.kernels.cpu.compiling import FLAGS, KERNEL_FLAGS, formulas, sour
 from adagmm_o3d.kernels.layout import CURVATURE, SCORE, SENSITIVITY
 
 dot, cross, symmetric_product = formulas.dot, formulas.cross, formulas.symmetric_product
-adjugate = formulas.adjugate
+convolved_full = formulas.convolved_full
 
 
 @njit(**FLAGS)
@@ -24,16 +24,15 @@ def add_pair(y, x, a, b, planar, cut, weight, share, curved, inverse, slope, j, 
     CURVATURE is wanted, which is the same sum for both clouds.
     """
     dx, dy, dz = y[0] - x[0], y[1] - x[1], y[2] - x[2]
-    s0, s1, s2, s3, s4 = a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4]
     s5 = 1.0 if planar else a[5] + b[5]
-    c0, c1, c2, c3, c4, c5 = adjugate(s0, s1, s2, s3, s4, s5)
-    scale = 1.0 / dot(s0, s1, s2, c0, c1, c2)
-    c0, c1, c2, c3, c4, c5 = c0 * scale, c1 * scale, c2 * scale, c3 * scale, c4 * scale, c5 * scale
-    vx, vy, vz = symmetric_product(c0, c1, c2, c3, c4, c5, dx, dy, dz)
-    q = dot(dx, dy, dz, vx, vy, vz)
+    height, scale, q, vx, vy, vz, c0, c1, c2, c3, c4, c5 = convolved_full(
+        1.0, dx, dy, dz, a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], s5
+    )
     if q > cut:
         return
-    density = math.sqrt(scale) * math.exp(-0.5 * q)
+    density = height * math.exp(-0.5 * q)
+    vx, vy, vz = vx * scale, vy * scale, vz * scale
+    c0, c1, c2, c3, c4, c5 = c0 * scale, c1 * scale, c2 * scale, c3 * scale, c4 * scale, c5 * scale
     w = weight * density
     j[0], j[1], j[2] = cross(y[0], y[1], y[2], vx, vy, vz)
     j[3], j[4], j[5] = vx, vy, vz

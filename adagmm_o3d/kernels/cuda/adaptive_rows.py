@@ -5,7 +5,8 @@ import math
 from numba import float32, int32
 
 from adagmm_o3d.kernels.cuda.front_end import F0, F1, TILE, cuda, fast, fast_kernel, formulas, source_stamp
-from adagmm_o3d.kernels.cuda.tiles import MATRIX, is_near
+from adagmm_o3d.kernels.cuda.tiles import is_near
+from adagmm_o3d.kernels.layout import TILE_MATRIX
 
 symmetric_product, dot, cross = formulas.symmetric_product, formulas.dot, formulas.cross
 
@@ -104,12 +105,12 @@ def _build(isotropic, stamp):
         shares = cuda.gridDim.y
         count = target.shape[0]
         y0, y1, y2 = moved[own, 0, t], moved[own, 1, t], moved[own, 2, t]
-        b0 = moved[own, MATRIX, t]
+        b0 = moved[own, TILE_MATRIX, t]
         if isotropic:
             b1 = b2 = b3 = b4 = b5 = F0
         else:
-            b1, b2, b3 = moved[own, MATRIX + 1, t], moved[own, MATRIX + 2, t], moved[own, MATRIX + 3, t]
-            b4, b5 = moved[own, MATRIX + 4, t], moved[own, MATRIX + 5, t]
+            b1, b2, b3 = moved[own, TILE_MATRIX + 1, t], moved[own, TILE_MATRIX + 2, t], moved[own, TILE_MATRIX + 3, t]
+            b4, b5 = moved[own, TILE_MATRIX + 4, t], moved[own, TILE_MATRIX + 5, t]
         total = NOTHING
         s = NONE
         pending = 0
@@ -127,7 +128,7 @@ def _build(isotropic, stamp):
                     continue
                 tile = first + k * shares
                 for i in range(components):
-                    x[t, i] = target[tile, i, t] * (scale if i >= MATRIX else F1)
+                    x[t, i] = target[tile, i, t] * (scale if i >= TILE_MATRIX else F1)
                 cuda.syncthreads()
                 for j in range(0, TILE, 4):
                     if isotropic:

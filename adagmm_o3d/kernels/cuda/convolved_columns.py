@@ -11,18 +11,17 @@ from numba import float32, int32
 from adagmm_o3d.kernels.cuda.convolved_rows import unlike_at
 from adagmm_o3d.kernels.cuda.front_end import (
     F0,
-    F1,
     TILE,
     cuda,
     fast,
     fast_kernel,
     formulas,
-    inverse_root,
     source_stamp,
 )
-from adagmm_o3d.kernels.cuda.tiles import MATRIX, is_near
+from adagmm_o3d.kernels.cuda.tiles import is_near
+from adagmm_o3d.kernels.layout import SHARE, TILE_MATRIX, X
 
-symmetric_product, dot, adjugate = formulas.symmetric_product, formulas.dot, formulas.adjugate
+convolved_full, convolved_isotropic = formulas.convolved_full, formulas.convolved_isotropic
 
 # Tiles summed in float32 before float64 takes over.
 FLUSH = 4
@@ -32,28 +31,32 @@ FLUSH = 4
 def density_anisotropic(y, j, x0, x1, x2, a0, a1, a2, a3, a4, a5, unlike):
     """What source point j of the tile `y` adds to the density at a target point; `unlike` is the capped distance of
     their colours, or zero."""
-    dx = y[j, 0] - x0
-    dy = y[j, 1] - x1
-    dz = y[j, 2] - x2
-    s0 = y[j, 4] + a0
-    s1 = y[j, 5] + a1
-    s2 = y[j, 6] + a2
-    c0, c1, c2, c3, c4, c5 = adjugate(s0, s1, s2, y[j, 7] + a3, y[j, 8] + a4, y[j, 9] + a5)
-    root = inverse_root(dot(s0, s1, s2, c0, c1, c2))
-    vx, vy, vz = symmetric_product(c0, c1, c2, c3, c4, c5, dx, dy, dz)
-    return y[j, 3] * root * math.exp2(-(dot(dx, dy, dz, vx, vy, vz) * (root * root) + unlike))
+    dx = y[j, X] - x0
+    dy = y[j, X + 1] - x1
+    dz = y[j, X + 2] - x2
+    height, _, q, _, _, _, _, _, _, _, _, _ = convolved_full(
+        y[j, SHARE],
+        dx,
+        dy,
+        dz,
+        y[j, TILE_MATRIX] + a0,
+        y[j, TILE_MATRIX + 1] + a1,
+        y[j, TILE_MATRIX + 2] + a2,
+        y[j, TILE_MATRIX + 3] + a3,
+        y[j, TILE_MATRIX + 4] + a4,
+        y[j, TILE_MATRIX + 5] + a5,
+    )
+    return height * math.exp2(-(q + unlike))
 
 
 @fast
-def density_isotropic(y, j, x0, x1, x2, a, flat, unlike):
+def density_isotropic(y, j, x0, x1, x2, a, planar, unlike):
     """The same where every covariance is a multiple of the identity."""
-    dx = y[j, 0] - x0
-    dy = y[j, 1] - x1
-    dz = y[j, 2] - x2
-    root = inverse_root(y[j, 4] + a)
-    precision = root * root
-    q = precision * dot(dx, dy, dz, dx, dy, dz)
-    return y[j, 3] * precision * (F1 if flat else root) * math.exp2(-(q + unlike))
+    dx = y[j, X] - x0
+    dy = y[j, X + 1] - x1
+    dz = y[j, X + 2] - x2
+    height, _, q = convolved_isotropic(y[j, SHARE], dx, dy, dz, y[j, TILE_MATRIX] + a, planar)
+    return height * math.exp2(-(q + unlike))
 
 
 def _build(isotropic, coloured, stamp):
@@ -64,7 +67,7 @@ def _build(isotropic, coloured, stamp):
     width = 4 * -(-(hue + (3 if coloured else 0)) // 4)
 
     @fast_kernel
-    def convolved_columns(target, target_boxes, sigma, flat, moved, moved_boxes, hues, target_hues, cap, parts):
+    def convolved_columns(target, target_boxes, sigma, planar, moved, moved_boxes, hues, target_hues, cap, parts):
         """One block for each target tile (x) and share of the source tiles (y), one thread for each target point.
 
         hues, target_hues : (tiles, 3, TILE) float32 colours of source and target, read where these count.
@@ -79,13 +82,13 @@ def _build(isotropic, coloured, stamp):
         shares = cuda.gridDim.y
         count = moved.shape[0]
         x0, x1, x2 = target[own, 0, t], target[own, 1, t], target[own, 2, t]
-        a0 = target[own, MATRIX, t] * sigma
+        a0 = target[own, TILE_MATRIX, t] * sigma
         if isotropic:
             a1 = a2 = a3 = a4 = a5 = F0
         else:
-            a1, a2 = target[own, MATRIX + 1, t] * sigma, target[own, MATRIX + 2, t] * sigma
-            a3, a4 = target[own, MATRIX + 3, t] * sigma, target[own, MATRIX + 4, t] * sigma
-            a5 = target[own, MATRIX + 5, t] * sigma
+            a1, a2 = target[own, TILE_MATRIX + 1, t] * sigma, target[own, TILE_MATRIX + 2, t] * sigma
+            a3, a4 = target[own, TILE_MATRIX + 3, t] * sigma, target[own, TILE_MATRIX + 4, t] * sigma
+            a5 = target[own, TILE_MATRIX + 5, t] * sigma
         if coloured:
             h0, h1, h2 = target_hues[own, 0, t], target_hues[own, 1, t], target_hues[own, 2, t]
         else:
@@ -116,13 +119,13 @@ def _build(isotropic, coloured, stamp):
                 for j in range(0, TILE, 4):
                     if isotropic:
                         unlike = unlike_at(y, j, hue, h0, h1, h2, cap) if coloured else F0
-                        s += density_isotropic(y, j, x0, x1, x2, a0, flat, unlike)
+                        s += density_isotropic(y, j, x0, x1, x2, a0, planar, unlike)
                         unlike = unlike_at(y, j + 1, hue, h0, h1, h2, cap) if coloured else F0
-                        s += density_isotropic(y, j + 1, x0, x1, x2, a0, flat, unlike)
+                        s += density_isotropic(y, j + 1, x0, x1, x2, a0, planar, unlike)
                         unlike = unlike_at(y, j + 2, hue, h0, h1, h2, cap) if coloured else F0
-                        s += density_isotropic(y, j + 2, x0, x1, x2, a0, flat, unlike)
+                        s += density_isotropic(y, j + 2, x0, x1, x2, a0, planar, unlike)
                         unlike = unlike_at(y, j + 3, hue, h0, h1, h2, cap) if coloured else F0
-                        s += density_isotropic(y, j + 3, x0, x1, x2, a0, flat, unlike)
+                        s += density_isotropic(y, j + 3, x0, x1, x2, a0, planar, unlike)
                     else:
                         unlike = unlike_at(y, j, hue, h0, h1, h2, cap) if coloured else F0
                         s += density_anisotropic(y, j, x0, x1, x2, a0, a1, a2, a3, a4, a5, unlike)

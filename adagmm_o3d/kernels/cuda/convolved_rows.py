@@ -12,12 +12,12 @@ from adagmm_o3d.kernels.cuda.front_end import (
     fast,
     fast_kernel,
     formulas,
-    inverse_root,
     source_stamp,
 )
-from adagmm_o3d.kernels.cuda.tiles import MATRIX, is_near
+from adagmm_o3d.kernels.cuda.tiles import is_near
+from adagmm_o3d.kernels.layout import SHARE, TILE_FACTOR, TILE_FACTOR_ISOTROPIC, TILE_MATRIX, X
 
-symmetric_product, dot, adjugate = formulas.symmetric_product, formulas.dot, formulas.adjugate
+convolved_full, convolved_isotropic = formulas.convolved_full, formulas.convolved_isotropic
 capped_distance = formulas.capped_distance
 
 # Sums of a source point: layout.WEIGHT to PULL, then the density.
@@ -33,19 +33,23 @@ NOTHING = (0.0,) * ROWS
 def pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, unlike, s):
     """The sums `s` of a source point with target point j of the tile `x` added; `unlike` is the capped distance of
     their colours, or zero."""
-    dx = y0 - x[j, 0]
-    dy = y1 - x[j, 1]
-    dz = y2 - x[j, 2]
-    s0 = x[j, 4] + b0
-    s1 = x[j, 5] + b1
-    s2 = x[j, 6] + b2
-    c0, c1, c2, c3, c4, c5 = adjugate(s0, s1, s2, x[j, 7] + b3, x[j, 8] + b4, x[j, 9] + b5)
-    root = inverse_root(dot(s0, s1, s2, c0, c1, c2))
-    inverse = root * root
-    vx, vy, vz = symmetric_product(c0, c1, c2, c3, c4, c5, dx, dy, dz)
-    q = dot(dx, dy, dz, vx, vy, vz) * inverse
-    g = x[j, 3] * root * math.exp2(-(q + unlike))
-    c = g * x[j, 10]
+    dx = y0 - x[j, X]
+    dy = y1 - x[j, X + 1]
+    dz = y2 - x[j, X + 2]
+    height, inverse, q, vx, vy, vz, c0, c1, c2, c3, c4, c5 = convolved_full(
+        x[j, SHARE],
+        dx,
+        dy,
+        dz,
+        x[j, TILE_MATRIX] + b0,
+        x[j, TILE_MATRIX + 1] + b1,
+        x[j, TILE_MATRIX + 2] + b2,
+        x[j, TILE_MATRIX + 3] + b3,
+        x[j, TILE_MATRIX + 4] + b4,
+        x[j, TILE_MATRIX + 5] + b5,
+    )
+    g = height * math.exp2(-(q + unlike))
+    c = g * x[j, TILE_FACTOR]
     k = c * inverse
     return (
         s[0] + c,
@@ -64,18 +68,14 @@ def pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, unlike, s):
 
 
 @fast
-def pair_isotropic(x, j, y0, y1, y2, b, flat, unlike, s):
+def pair_isotropic(x, j, y0, y1, y2, b, planar, unlike, s):
     """The same where every covariance is a multiple of the identity."""
-    dx = y0 - x[j, 0]
-    dy = y1 - x[j, 1]
-    dz = y2 - x[j, 2]
-    root = inverse_root(x[j, 4] + b)
-    precision = root * root
-    d2 = dot(dx, dy, dz, dx, dy, dz)
-    q = precision * d2
-    # |Σ|^(-1/2): the precision to the power D / 2.
-    g = x[j, 3] * precision * (F1 if flat else root) * math.exp2(-(q + unlike))
-    c = g * x[j, 5]
+    dx = y0 - x[j, X]
+    dy = y1 - x[j, X + 1]
+    dz = y2 - x[j, X + 2]
+    height, precision, q = convolved_isotropic(x[j, SHARE], dx, dy, dz, x[j, TILE_MATRIX] + b, planar)
+    g = height * math.exp2(-(q + unlike))
+    c = g * x[j, TILE_FACTOR_ISOTROPIC]
     k = c * precision
     p = s[2] + k
     return (s[0] + c, s[1] + c * q, p, F0, F0, p, F0, p, s[8] + k * dx, s[9] + k * dy, s[10] + k * dz, s[11] + g)
@@ -115,14 +115,15 @@ def column_factor(density, uniform, mutuality):
 def _build(isotropic, coloured, stamp):
     """The kernel for one kind of matrices, with colours or without; `stamp` keeps its cache fresh."""
     components = 5 if isotropic else 10
-    factor = components
+    factor = TILE_FACTOR_ISOTROPIC if isotropic else TILE_FACTOR
     hue = components + 1
     # Whole 16-byte words, which the compiler then loads at once.
     width = 4 * -(-(hue + (3 if coloured else 0)) // 4)
 
     @fast_kernel
     def convolved_rows(
-        moved, moved_boxes, target, target_boxes, sigma, flat, columns, uniform, mutuality, hues, target_hues, cap, rows
+        moved, moved_boxes, target, target_boxes, sigma, planar, columns, uniform, mutuality,
+        hues, target_hues, cap, rows,
     ):  # fmt: skip
         """One block for each source tile (x) and share of the target tiles (y), one thread for each source point.
 
@@ -139,12 +140,12 @@ def _build(isotropic, coloured, stamp):
         shares = cuda.gridDim.y
         count = target.shape[0]
         y0, y1, y2 = moved[own, 0, t], moved[own, 1, t], moved[own, 2, t]
-        b0 = moved[own, MATRIX, t]
+        b0 = moved[own, TILE_MATRIX, t]
         if isotropic:
             b1 = b2 = b3 = b4 = b5 = F0
         else:
-            b1, b2, b3 = moved[own, MATRIX + 1, t], moved[own, MATRIX + 2, t], moved[own, MATRIX + 3, t]
-            b4, b5 = moved[own, MATRIX + 4, t], moved[own, MATRIX + 5, t]
+            b1, b2, b3 = moved[own, TILE_MATRIX + 1, t], moved[own, TILE_MATRIX + 2, t], moved[own, TILE_MATRIX + 3, t]
+            b4, b5 = moved[own, TILE_MATRIX + 4, t], moved[own, TILE_MATRIX + 5, t]
         if coloured:
             h0, h1, h2 = hues[own, 0, t], hues[own, 1, t], hues[own, 2, t]
         else:
@@ -167,7 +168,7 @@ def _build(isotropic, coloured, stamp):
                     continue
                 tile = first + k * shares
                 for i in range(components):
-                    x[t, i] = target[tile, i, t] * (sigma if i >= MATRIX else F1)
+                    x[t, i] = target[tile, i, t] * (sigma if i >= TILE_MATRIX else F1)
                 x[t, factor] = column_factor(columns[tile, t], uniform, mutuality) if mutuality > F0 else F1
                 if coloured:
                     for i in range(3):
@@ -176,13 +177,13 @@ def _build(isotropic, coloured, stamp):
                 for j in range(0, TILE, 4):
                     if isotropic:
                         unlike = unlike_at(x, j, hue, h0, h1, h2, cap) if coloured else F0
-                        s = pair_isotropic(x, j, y0, y1, y2, b0, flat, unlike, s)
+                        s = pair_isotropic(x, j, y0, y1, y2, b0, planar, unlike, s)
                         unlike = unlike_at(x, j + 1, hue, h0, h1, h2, cap) if coloured else F0
-                        s = pair_isotropic(x, j + 1, y0, y1, y2, b0, flat, unlike, s)
+                        s = pair_isotropic(x, j + 1, y0, y1, y2, b0, planar, unlike, s)
                         unlike = unlike_at(x, j + 2, hue, h0, h1, h2, cap) if coloured else F0
-                        s = pair_isotropic(x, j + 2, y0, y1, y2, b0, flat, unlike, s)
+                        s = pair_isotropic(x, j + 2, y0, y1, y2, b0, planar, unlike, s)
                         unlike = unlike_at(x, j + 3, hue, h0, h1, h2, cap) if coloured else F0
-                        s = pair_isotropic(x, j + 3, y0, y1, y2, b0, flat, unlike, s)
+                        s = pair_isotropic(x, j + 3, y0, y1, y2, b0, planar, unlike, s)
                     else:
                         unlike = unlike_at(x, j, hue, h0, h1, h2, cap) if coloured else F0
                         s = pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, unlike, s)

@@ -70,6 +70,12 @@ def inverse_root(x):
     return F1 / math.sqrt(x) if SIMULATED else cuda.libdevice.rsqrtf(x)
 
 
+@exact
+def exact_inverse_root(x):
+    """1/√x of a float64, rounded twice."""
+    return 1.0 / math.sqrt(x)
+
+
 # The formulas for the GPU.
-formulas = build(fast)
-exact_formulas = build(exact)
+formulas = build(fast, inverse_root)
+exact_formulas = build(exact, exact_inverse_root)

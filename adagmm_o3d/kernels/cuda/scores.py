@@ -10,16 +10,13 @@ import numpy as np
 from numba import float64, int32
 
 from adagmm_o3d.kernels import layout
-from adagmm_o3d.kernels.cuda.front_end import F0, TILE, cuda, fast, fast_kernel, formulas, inverse_root, source_stamp
+from adagmm_o3d.kernels.cuda.front_end import F0, F1, TILE, cuda, fast, fast_kernel, formulas, source_stamp
 from adagmm_o3d.kernels.cuda.reductions import PADDED, reduce_tile
-from adagmm_o3d.kernels.cuda.tiles import BOX_VARIANCE, MATRIX
+from adagmm_o3d.kernels.cuda.tiles import BOX_VARIANCE
+from adagmm_o3d.kernels.layout import TILE_MATRIX
 
-symmetric_product, dot, cross, adjugate = (
-    formulas.symmetric_product,
-    formulas.dot,
-    formulas.cross,
-    formulas.adjugate,
-)
+symmetric_product, dot, cross = formulas.symmetric_product, formulas.dot, formulas.cross
+convolved_full = formulas.convolved_full
 
 # Sums of a point: score (6), sensitivity (6), then for source points curvature (21), row by row.
 SENSITIVITY, CURVATURE, SUMS = 6, 12, 33
@@ -45,13 +42,10 @@ def unfolded(sums):
 @fast
 def geometry(d0, d1, d2, s0, s1, s2, s3, s4, s5, cut):
     """The precision of a pair with offset d and covariance S, S⁻¹ d, and its density, 0 beyond the cut."""
-    c0, c1, c2, c3, c4, c5 = adjugate(s0, s1, s2, s3, s4, s5)
-    root = inverse_root(dot(s0, s1, s2, c0, c1, c2))
-    inverse = root * root
+    height, inverse, q, v0, v1, v2, c0, c1, c2, c3, c4, c5 = convolved_full(F1, d0, d1, d2, s0, s1, s2, s3, s4, s5)
     c0, c1, c2, c3, c4, c5 = c0 * inverse, c1 * inverse, c2 * inverse, c3 * inverse, c4 * inverse, c5 * inverse
-    v0, v1, v2 = symmetric_product(c0, c1, c2, c3, c4, c5, d0, d1, d2)
-    q = dot(d0, d1, d2, v0, v1, v2)
-    density = F0 if q > cut else root * math.exp(-HALF * q)
+    v0, v1, v2 = v0 * inverse, v1 * inverse, v2 * inverse
+    density = F0 if q > cut else height * math.exp(-HALF * q)
     return c0, c1, c2, c3, c4, c5, v0, v1, v2, density
 
 
@@ -203,14 +197,14 @@ def _build(of_source, isotropic, stamp):
                     continue
                 tile = first + i
                 x0, x1, x2 = other[tile, 0, t], other[tile, 1, t], other[tile, 2, t]
-                m0 = other[tile, MATRIX, t] * scale
+                m0 = other[tile, TILE_MATRIX, t] * scale
                 if isotropic:
                     m1 = m2 = m4 = F0
                     m3 = m5 = m0
                 else:
-                    m1, m2 = other[tile, MATRIX + 1, t] * scale, other[tile, MATRIX + 2, t] * scale
-                    m3, m4 = other[tile, MATRIX + 3, t] * scale, other[tile, MATRIX + 4, t] * scale
-                    m5 = other[tile, MATRIX + 5, t] * scale
+                    m1, m2 = other[tile, TILE_MATRIX + 1, t] * scale, other[tile, TILE_MATRIX + 2, t] * scale
+                    m3, m4 = other[tile, TILE_MATRIX + 3, t] * scale, other[tile, TILE_MATRIX + 4, t] * scale
+                    m5 = other[tile, TILE_MATRIX + 5, t] * scale
                 weight, share = weights[tile, t], shares[tile, t]
                 if of_source:
                     s = curved(

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from adagmm_o3d.kernels.cpu import culling
 from adagmm_o3d.kernels.cuda.front_end import F0, TILE, exact
+from adagmm_o3d.kernels.layout import SHARE
 
-SHARE, MATRIX = 3, 4
 BOX_VARIANCE, BOX_BITS = 6, 7
 
 reach_sq = exact(culling.reach_sq.py_func)

@@ -5,7 +5,7 @@ import numpy as np
 import open3d as o3d
 
 from adagmm_fusion.clouds.sensor_models import NONE, sensor_models
-from adagmm_fusion.frames.depth_geometry import back_project, depth_edges, depth_in_range, depth_noise, grid_normals
+from adagmm_fusion.clouds.surface_grid import surface_grid
 from adagmm_fusion.frames.rgbd import RGBDFrame, RGBDPair
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.uncertainty.sensor_models import DEFAULT, estimate_sensor_covariances
@@ -15,8 +15,6 @@ TARGET_POINTS = 3500
 MIN_DEPTH, MAX_DEPTH = 0.1, 6.0
 # No voxels are finer than this [m], nor than this share of the cloud's extent: their numbers would not fit.
 FINEST_VOXEL, FINEST_SHARE = 1e-4, 1e-6
-# No room has as large a share of its pixels at edges.
-MOSTLY_EDGES = 0.5
 
 
 def cloud_from_frame(
@@ -79,13 +77,8 @@ def dense_cloud(
     """One point, with color and normal, for each pixel with depth not at a depth edge. Raises InputError if none is."""
     if not 0 <= min_depth < max_depth:
         raise InputError(f"min_depth, max_depth: expected 0 <= min < max [m], got {min_depth:g} and {max_depth:g}")
-    depth = depth_in_range(frame, min_depth, max_depth)
-    edges = depth_edges(depth, frame.intrinsics)
-    if edges.sum() > MOSTLY_EDGES * np.isfinite(depth).sum():  # a noisy sensor: its noise looks like edges
-        edges = depth_edges(depth, frame.intrinsics, depth_noise(depth))
-    depth[edges] = np.nan
-    normals = grid_normals(depth, frame.intrinsics)
-    kept = np.isfinite(normals[..., 0])
+    grid = surface_grid(frame, min_depth, max_depth)
+    kept = grid.known
     if not kept.any():
         measured = frame.depth_m()
         measured = measured[np.isfinite(measured)]
@@ -94,9 +87,9 @@ def dense_cloud(
             f"{frame.name}: {frame.sensor}: the cloud is empty: no surface between {min_depth:g} and {max_depth:g} m, "
             f"the image has {seen}; check depth_scale ({frame.depth_scale:g} units per metre) and the limits"
         )
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(back_project(depth, frame.intrinsics)[kept]))
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(grid.points[kept]))
     cloud.colors = o3d.utility.Vector3dVector(frame.color[kept] / 255.0)
-    cloud.normals = o3d.utility.Vector3dVector(normals[kept])
+    cloud.normals = o3d.utility.Vector3dVector(grid.normals[kept])
     return cloud
 
 

@@ -15,7 +15,10 @@ MESHES = ("ply", "glb", "obj")
 # What another run may have left under the name of the mesh.
 OTHER_MESHES = ("mesh.ply", "mesh.glb", "mesh.obj", "mesh.mtl", "mesh_0.png")
 # The code and the libraries that a registration between two frames comes from.
-REGISTERED_BY = ("adagmm_o3d", *(f"adagmm_fusion.{name}" for name in ("clouds", "frames", "pairs", "sequence")))
+REGISTERED_BY = (
+    "adagmm_o3d",
+    *(f"adagmm_fusion.{name}" for name in ("clouds", "frames", "measurements", "pairs", "sequence")),
+)
 REGISTERED_WITH = ("numba", "numpy", "open3d", "opencv-python-headless", "scipy")
 
 

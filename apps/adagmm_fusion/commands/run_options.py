@@ -87,7 +87,9 @@ def add(commands: argparse._SubParsersAction) -> None:
     add_setting(method, "device", str, None, "where the kernels run", choices=("auto", "cpu", "cuda"))
     add_setting(success, "max_rotation_error_deg", float, "DEGREES", "with ground truth")
     add_setting(success, "max_translation_error_mm", float, "MM", "with ground truth")
-    add_setting(success, "min_overlap", float, "SHARE", "without ground truth")
+    add_setting(
+        success, "min_overlap", float, "SHARE", "without ground truth (default: 0.3; 0.15 where features agree)"
+    )
     add_setting(
         success,
         "partner_distance_m",

@@ -45,6 +45,29 @@ def _undistort(pixels: np.ndarray, intrinsics: PinholeIntrinsics) -> np.ndarray:
     )
 
 
+def project(points: np.ndarray, intrinsics: PinholeIntrinsics) -> np.ndarray:
+    """(2, N) float64 columns and rows of points (N, 3) [m, camera frame] in the image; NaN where it cannot see them.
+
+    Lens models fold over far outside the image, so what the undistorted rays of its pixels do not reach is not seen.
+    """
+    found = np.full((2, len(points)), np.nan)
+    ahead = points[:, 2] > 0.0
+    rays = points[ahead, :2] / points[ahead, 2:]
+    pixels = rays * (intrinsics.fx, intrinsics.fy) + (intrinsics.cx, intrinsics.cy)
+    if intrinsics.distorted:
+        grid = pixel_rays(intrinsics).reshape(-1, 2)
+        low, high = grid.min(axis=0), grid.max(axis=0)
+        margin = 0.05 * (high - low)
+        inside = ((rays >= low - margin) & (rays <= high + margin)).all(axis=1)
+        pixels[~inside] = np.nan
+        if inside.any():
+            K, distortion = intrinsics.matrix(), np.array(intrinsics.distortion)
+            ones = np.column_stack((rays[inside], np.ones(np.count_nonzero(inside))))
+            pixels[inside] = cv2.projectPoints(ones, np.zeros(3), np.zeros(3), K, distortion)[0].reshape(-1, 2)
+    found[:, ahead] = pixels.T
+    return found
+
+
 def back_project(depth_m: np.ndarray, intrinsics: PinholeIntrinsics) -> np.ndarray:
     """(H, W, 3) float64 [m], camera frame; NaN where there is no depth."""
     z = depth_m.astype(np.float64)

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import open3d as o3d
 
-from adagmm_fusion.clouds.building import MIN_DEPTH, clouds_from_pair
+from adagmm_fusion.clouds.building import clouds_from_pair
 from adagmm_fusion.errors import one_line
 from adagmm_fusion.frames.rgbd import RGBDPair
-from adagmm_fusion.pairs.feature_start import FeatureStart, find_feature_start
+from adagmm_fusion.pairs.feature_start import MIN_INLIERS, FeatureStart
 from adagmm_fusion.pairs.partners import partner_distance
+from adagmm_fusion.pairs.refinement import SeenFeatures, refine_pair, see_features
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.recordings.frame_sequence import Recording
 from adagmm_o3d import registration_adaptive_gmm
@@ -24,6 +25,8 @@ from adagmm_o3d.warm_up import warm_up
 
 # Colours that differ by no more than a step of 8 bits are one; averages of one colour differ in their last digits.
 ONE_SHADE = 1.0 / 255.0
+# How much clouds have to overlap, and how much where many features agree with their pose.
+MIN_OVERLAP, MIN_OVERLAP_CONFIRMED = 0.3, 0.15
 
 Callback = Callable[[dict], None]
 
@@ -55,6 +58,8 @@ class PairOutcome:
     judged_by : "ground truth"; "estimate" where that is not known; "error" if the pair could not be registered at all:
         then whatever was not reached is None.
     features : the pose the colour images agreed on, where the registration started; None where the clouds had to do.
+    estimate : the registration, with the pose refined by all that both frames measure, see `pairs.refinement`.
+    agreeing_features : how many matched features agree with that pose.
     seconds_clouds, seconds_features, seconds_registration : wall time of each step.
     """
 
@@ -69,6 +74,7 @@ class PairOutcome:
     estimate: PointRegistrationResult | None = None
     evaluation: Evaluation | None = None
     features: FeatureStart | None = None
+    agreeing_features: int | None = None
     seconds_clouds: float | None = None
     seconds_features: float | None = None
     seconds_registration: float | None = None
@@ -103,10 +109,13 @@ def run_pairs(
             yield register_pair(pair, settings, callback)
 
 
-def register_pair(pair: RGBDPair, settings: Settings, callback: Callback | None = None) -> PairOutcome:
+def register_pair(
+    pair: RGBDPair, settings: Settings, callback: Callback | None = None, *, seen: SeenFeatures | None = None
+) -> PairOutcome:
     """Make a pair's clouds, register them without any known pose, and judge the result.
 
-    `callback` goes to registration_adaptive_gmm as callback_after_iteration. Errors of ours become a failed outcome.
+    `callback` goes to registration_adaptive_gmm as callback_after_iteration. `seen` are the features, where they have
+    been looked at. Errors of ours become a failed outcome.
     """
     reached: dict[str, Any] = {"pair": pair}
     try:
@@ -120,18 +129,16 @@ def register_pair(pair: RGBDPair, settings: Settings, callback: Callback | None 
         )
         reached |= {"source_cloud": source, "target_cloud": target, "seconds_clouds": time.perf_counter() - start}
         start = time.perf_counter()
-        features = None
-        if settings.start == "features":
-            features = find_feature_start(pair, min_depth_m=MIN_DEPTH, max_depth_m=settings.max_depth_m)
-        reached |= {"features": features, "seconds_features": time.perf_counter() - start}
+        seen = see_features(pair, settings) if seen is None else seen
+        reached |= {"features": seen.believed, "seconds_features": time.perf_counter() - start}
         distance = partner_distance(target, settings.partner_distance_m)
         start = time.perf_counter()
         result = registration_adaptive_gmm(
             source,
             target,
             distance,
-            init=None if features is None else features.T_target_source,
             estimation_method=TransformationEstimationForAdaptiveGMM(color=_colors_count(source, target, settings)),
+            init=None if seen.believed is None else seen.believed.T_target_source,
             criteria=_criteria(settings),
             device=settings.device,
             callback_after_iteration=callback,
@@ -139,11 +146,13 @@ def register_pair(pair: RGBDPair, settings: Settings, callback: Callback | None 
             source_viewpoint=np.zeros(3),
             target_viewpoint=np.zeros(3),
         )
-        reached |= {"estimate": result.details, "seconds_registration": time.perf_counter() - start}
+        refined = refine_pair(pair, settings, result.details, seen, source, target)
+        reached |= {"estimate": refined.estimate, "agreeing_features": refined.agreeing}
+        reached |= {"seconds_registration": time.perf_counter() - start}
     except AdaGMMError as problem:
         return _refused(pair.name, pair.index, problem, **reached)
-    evaluation = _evaluate(source, target, result, distance, pair.T_target_source)
-    reason = why_failed(result.details, evaluation, settings)
+    evaluation = _evaluate(source, target, refined.estimate.transformation, distance, pair.T_target_source)
+    reason = why_failed(refined.estimate, evaluation, settings, agreeing_features=refined.agreeing)
     return PairOutcome(
         pair_name=pair.name,
         index=pair.index,
@@ -155,13 +164,18 @@ def register_pair(pair: RGBDPair, settings: Settings, callback: Callback | None 
     )
 
 
-def why_failed(estimate: PointRegistrationResult, evaluation: Evaluation, settings: Settings) -> str:
+def why_failed(
+    estimate: PointRegistrationResult, evaluation: Evaluation, settings: Settings, *, agreeing_features: int = 0
+) -> str:
     """Why a registration counts as failed, in one line; empty if it succeeded."""
     errors = evaluation.errors
     if errors is None:
         reasons = list(estimate.warnings)
-        if evaluation.overlap < settings.min_overlap:
-            reasons.append(f"overlap {evaluation.overlap:.2f} is below {settings.min_overlap:g}")
+        least = settings.min_overlap
+        if least is None:
+            least = MIN_OVERLAP_CONFIRMED if agreeing_features >= MIN_INLIERS else MIN_OVERLAP
+        if evaluation.overlap < least:
+            reasons.append(f"overlap {evaluation.overlap:.2f} is below {least:g}")
         return "; ".join(reasons)
     reasons, translation_mm = [], 1000.0 * errors.translation
     if errors.rotation_deg > settings.max_rotation_error_deg:
@@ -174,7 +188,7 @@ def why_failed(estimate: PointRegistrationResult, evaluation: Evaluation, settin
 def _evaluate(
     source: o3d.geometry.PointCloud,
     target: o3d.geometry.PointCloud,
-    result: o3d.pipelines.registration.RegistrationResult,
+    T_target_source: np.ndarray,
     distance: float,
     T_truth: np.ndarray | None,
 ) -> Evaluation:
@@ -184,9 +198,10 @@ def _evaluate(
         known = {
             "overlap_truth": overlap_ratio(*points, T_truth, distance),
             "initial_errors": pose_errors(T_truth, np.eye(4)),
-            "errors": pose_errors(T_truth, result.details.transformation),
+            "errors": pose_errors(T_truth, T_target_source),
         }
-    return Evaluation(distance, result.fitness, result.inlier_rmse, **known)
+    found = o3d.pipelines.registration.evaluate_registration(source, target, distance, T_target_source)
+    return Evaluation(distance, found.fitness, found.inlier_rmse, **known)
 
 
 def _colors_count(source: o3d.geometry.PointCloud, target: o3d.geometry.PointCloud, settings: Settings) -> bool:

@@ -57,6 +57,7 @@ class PairRecord:
     feature_matches: int | None = None
     contradicted: float | None = None
     color_correlation: float | None = None
+    agreeing_features: int | None = None
     estimated_overlap: float | None = None
     color_deviations: tuple[float, ...] | None = None
     color_lying: float | None = None
@@ -102,6 +103,7 @@ def pair_record(outcome: PairOutcome, settings: Settings) -> PairRecord:
             "started_from": "clouds" if outcome.features is None else "features",
             "feature_inliers": None if outcome.features is None else outcome.features.inliers,
             "feature_matches": None if outcome.features is None else outcome.features.matches,
+            "agreeing_features": outcome.agreeing_features,
             "estimated_overlap": _number(estimate.overlap),
             "sigma": _number(estimate.sigma),
             "spread_mm": _spread_mm(outcome),

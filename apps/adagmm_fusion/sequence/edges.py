@@ -4,13 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adagmm_fusion.clouds.building import MIN_DEPTH
 from adagmm_fusion.frames.rgbd import RGBDPair
-from adagmm_fusion.pairs.feature_start import find_feature_start
+from adagmm_fusion.pairs.feature_start import MIN_INLIERS
 from adagmm_fusion.pairs.partners import common_partner_distance
 from adagmm_fusion.pairs.pipeline import register_pair
+from adagmm_fusion.pairs.refinement import see_features
 from adagmm_fusion.pairs.settings import Settings
-from adagmm_fusion.sequence.confirmation import depth_confirms, features_confirm
 from adagmm_o3d.evaluation import information_matrix, overlap_ratio
 
 # One wrong pose bends the whole path. A pose that the colour images do not confirm therefore needs the first overlap,
@@ -50,33 +49,29 @@ def registered_edge(
 ) -> Edge:
     """Register a pair; with `confirmed_only`, only if its colour images agree on a pose that the depth confirms.
 
-    Where they do, the shape may leave directions of the pose free: the features hold those, and if the registration has
-    slid along them, the features' own pose is the edge's.
+    Registered and features' poses compete in `register_pair`; no other judge comes after it.
     """
 
     def refused(reason: str) -> Edge:
         return Edge(source, target, None, None, loop_closure, reason)
 
-    features = find_feature_start(pair, min_depth_m=MIN_DEPTH, max_depth_m=settings.max_depth_m)
-    if features is not None and not depth_confirms(features, pair.target, settings.max_depth_m):
-        features = None
-    if features is None and confirmed_only:
+    settings = replace(settings, start="features")
+    seen = see_features(pair, settings)
+    if confirmed_only and seen.believed is None:
         return refused("the colours do not confirm that they show the same place")
-    outcome = register_pair(pair, settings if features is not None else replace(settings, start="geometry"))
+    outcome = register_pair(pair, settings, seen=seen)
     if outcome.estimate is None:
         return refused(outcome.reason)
     T = np.asarray(outcome.T_estimate)
     points, onto = np.asarray(outcome.source_cloud.points), np.asarray(outcome.target_cloud.points)
     distance = common_partner_distance(settings)  # one for all edges, as their information counts partners
-    if features is not None:
-        if not features_confirm(features, pair.target, T):
-            T = features.T_target_source
-        overlap = overlap_ratio(points, onto, T, distance)
-        if overlap < MIN_OVERLAP_CONFIRMED:
-            return refused(f"overlap {overlap:.2f} is below {MIN_OVERLAP_CONFIRMED:g}")
-    elif outcome.status != "ok":
-        return refused(outcome.reason)
-    elif outcome.evaluation.overlap < MIN_OVERLAP_ALONE:
-        overlap = outcome.evaluation.overlap
-        return refused(f"overlap {overlap:.2f} is below {MIN_OVERLAP_ALONE:g} and the colours do not confirm it")
+    overlap = overlap_ratio(points, onto, T, distance)
+    confirmed = outcome.agreeing_features >= MIN_INLIERS
+    least, but = (MIN_OVERLAP_CONFIRMED, "") if confirmed else (MIN_OVERLAP_ALONE, " and the colours do not confirm it")
+    if outcome.estimate.warnings:
+        return refused("; ".join(outcome.estimate.warnings))
+    if confirmed_only and not confirmed:
+        return refused("the colours do not confirm that they show the same place")
+    if overlap < least:
+        return refused(f"overlap {overlap:.2f} is below {least:g}{but}")
     return Edge(source, target, T, information_matrix(points, onto, distance, T), loop_closure)

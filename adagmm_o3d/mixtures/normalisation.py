@@ -35,12 +35,15 @@ class Normalisation:
 
     Normalised p is (p - centre) / scale; `scale` is the larger of the two RMS radii [input units]. Covariances, which
     are relative, are divided by `variance`, a low percentile over both clouds: that of a good point becomes 1.
+    `source_radius` and `target_radius` are the normalised ones; the larger is 1.
     """
 
     source_centre: Array
     target_centre: Array
     scale: float
     variance: float
+    source_radius: float
+    target_radius: float
 
     def sigma_out(self, sigma: float) -> float:
         """σ of the normalised mixtures → σ for the covariances as given, [input units² per unit of covariance]."""
@@ -88,11 +91,12 @@ def normalise(source: Mixture, target: Mixture) -> tuple[Mixture, Mixture, Norma
         relative = [np.minimum(np.maximum(v / unit, VARIANCE_RANGE[0]), VARIANCE_RANGE[1]) for v in variances]
     centres = [m.centroid(m.weights / r) for m, r in zip(sides, relative, strict=True)]
     certain = [_certain(r) for r in relative]
-    scale = max(m.radius(c, m.weights * k) for m, c, k in zip(sides, centres, certain, strict=True))
+    radii = [m.radius(c, m.weights * k) for m, c, k in zip(sides, centres, certain, strict=True)]
+    scale = max(radii)
     for name, m, k in zip(("source", "target"), sides, certain, strict=True):
         _check_resolution(name, _some_points(m, np.flatnonzero(k)), scale)
     moving, fixed = (m.normalised(c, scale, unit, r) for m, c, r in zip(sides, centres, relative, strict=True))
-    return moving, fixed, Normalisation(centres[0], centres[1], scale, unit)
+    return moving, fixed, Normalisation(centres[0], centres[1], scale, unit, radii[0] / scale, radii[1] / scale)
 
 
 def _certain(relative: Array) -> NDArray[np.bool_]:

@@ -44,6 +44,8 @@ SEARCHING = 3
 DIGITS = 9
 # A start may tilt gravity by so many degrees, which a rotation of few digits does.
 MOST_TILT = 0.5
+# Radii that differ by no more of themselves are the same but for rounding.
+SAME_RADIUS = 1e-9
 # The paper's wide mixtures converge slowly: their steps are short long before the end.
 SLOW = 0.01
 
@@ -76,10 +78,9 @@ def register_mixtures(
     fit: Fit | None = None
     if method.sigma_rule == "posterior":
         clouds = Condensed(moving), Condensed(fixed)
+        seen_from, turned = normalisation.points_in(*viewpoints), comes_second(moving, fixed)
         sides = clouds[0].searched, clouds[1].searched
-        levels, seen_from = Levels(*sides, SCHEDULE, axis), normalisation.points_in(*viewpoints)
-        turned = comes_second(moving, fixed)
-        searched = Levels(*sides[::-1], SCHEDULE, axis) if turned else levels
+        searched = Levels(*(sides[::-1] if turned else sides), SCHEDULE, axis)
         judged = (searched.source, searched.target, searched.sampled(JUDGED))
         judge = Deferred(lambda: Judge(*judged, seen_from[::-1] if turned else seen_from))
         identity = normalisation.pose_in(np.eye(4))
@@ -96,15 +97,20 @@ def register_mixtures(
             viewpoints=seen_from[::-1] if turned else seen_from,
         )
         ambiguous = found.ambiguous
-        best, limits = _within(limits, inverse_end(found.end) if turned else found.end)
+        # Either direction of a pair is one problem for the refinement, too, whose pairs do not look alike from both
+        # clouds. It goes by the clouds' radii, which points given several times do not change.
+        inverted = refines_inverse(normalisation, turned)
+        best, limits = _within(limits, found.end if inverted == turned else inverse_end(found.end))
         best = best._replace(pose=se_exp(np.round(se_log(best.pose), DIGITS)), sigma=float(f"{best.sigma:.{DIGITS}g}"))
+        if observe is not None and inverted:
+            observe = _of_inverse(observe)
         if observe is not None:
             for iteration in best.iterations:
                 observe(iteration)
-        start = best.start
+        levels = searched if inverted == turned else Levels(searched.target, searched.source, SCHEDULE, axis)
         refined = refine(
             levels,
-            clouds,
+            clouds[::-1] if inverted else clouds,
             best,
             limits,
             device=device,
@@ -114,10 +120,21 @@ def register_mixtures(
         )
         outcome, fit = refined.outcome, refined.fit
         if outcome.stop_reason is not StopReason.NO_OVERLAP:
-            assess = partial(uncertainty_out, refined.pairs, refined.source, refined.target, refined.fit, normalisation)
+            assess = partial(
+                uncertainty_out,
+                refined.pairs,
+                refined.source,
+                refined.target,
+                refined.fit,
+                normalisation,
+                inverse=inverted,
+            )
             if method.gravity is not None:
                 assess = partial(_assess_upright, assess, axis)
-            weigh = partial(_weigh, judge, inverse_of(outcome.pose) if turned else outcome.pose, turned)
+            weigh = partial(_weigh, judge, outcome.pose if inverted == turned else inverse_of(outcome.pose), turned)
+        start = inverse_of(best.start) if inverted else best.start
+        if inverted:
+            outcome = Outcome(inverse_of(outcome.pose), tuple(map(_inverse, outcome.iterations)), outcome.stop_reason)
     else:
         if everywhere:
             raise InputError(f"init: 'global' needs sigma_rule 'posterior', got {method.sigma_rule!r}")
@@ -154,6 +171,16 @@ def _assess_upright(assess: Callable[[], PoseUncertainty], axis: Array) -> PoseU
     return held_by_gravity(assess(), axis)
 
 
+def _inverse(iteration: Iteration) -> Iteration:
+    """The same with source and target in each other's place; the share of partners stays that of its own source."""
+    return iteration._replace(pose=inverse_of(iteration.pose))
+
+
+def _of_inverse(observe: Callable[[Iteration], None]) -> Callable[[Iteration], None]:
+    """What observes the inverse of each iteration."""
+    return lambda iteration: observe(_inverse(iteration))
+
+
 def _weigh(judge: Deferred[Judge], pose: Array, turned: bool) -> Verdict:
     return verdict.weigh(judge(), pose, turned=turned)
 
@@ -169,6 +196,15 @@ def comes_second(source: Mixture, target: Mixture) -> bool:
         return sizes[0] > sizes[1]
     first, second = (np.sort((mixture.points**2).sum(axis=1)).tolist() for mixture in (source, target))
     return bool(first > second)
+
+
+def refines_inverse(normalisation: Normalisation, turned: bool) -> bool:
+    """Whether the refinement takes the target for its source: the larger cloud is its target.
+
+    Where neither is larger, it goes on as the search, `turned` or not.
+    """
+    apart = normalisation.source_radius - normalisation.target_radius
+    return turned if abs(apart) < SAME_RADIUS else apart > 0.0
 
 
 def _within(limits: Criteria, end: End) -> tuple[End, Criteria]:

@@ -31,10 +31,11 @@ from numpy.typing import NDArray
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.m_step import FREE
+from adagmm_o3d.em.runs import inverse_of
 from adagmm_o3d.em.unmatched import uniform_density
 from adagmm_o3d.kernels.cpu.scores import score_sums
 from adagmm_o3d.kernels.layout import CURVATURE, POINT_SUMS, SCORE, SENSITIVITY
-from adagmm_o3d.lie import hat
+from adagmm_o3d.lie import hat, se_adjoint
 from adagmm_o3d.mixtures.colours import ColourModel
 from adagmm_o3d.mixtures.merging import FLAGGED
 from adagmm_o3d.mixtures.mixture import PACKED, Mixture
@@ -98,13 +99,25 @@ def pose_uncertainty(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -
 
 
 def uncertainty_out(
-    pairs: Pairs, source: Mixture, target: Mixture, fit: Fit, normalisation: Normalisation
+    pairs: Pairs, source: Mixture, target: Mixture, fit: Fit, normalisation: Normalisation, *, inverse: bool = False
 ) -> PoseUncertainty:
-    """`pose_uncertainty` with the covariance in input units."""
+    """`pose_uncertainty` with the covariance in input units; with `inverse`, of the inverse pose, from what is the
+    caller's target to the caller's source."""
     normalised = pose_uncertainty(pairs, source, target, fit)
+    if inverse:
+        normalised = _of_inverse(normalised, fit.pose, source.dimension)
     if normalised.covariance is None:
         return normalised
     return PoseUncertainty(covariance_out(normalised.covariance, normalisation), normalised.unobservable)
+
+
+def _of_inverse(uncertainty: PoseUncertainty, pose: Array, dimension: int) -> PoseUncertainty:
+    """That of the inverse of `pose` (4, 4): (exp(δ) T)⁻¹ = exp(-Ad(T⁻¹) δ) T⁻¹."""
+    change = se_adjoint(inverse_of(pose))[np.ix_(FREE[dimension], FREE[dimension])]
+    covariance, free = uncertainty.covariance, uncertainty.unobservable
+    if covariance is not None:
+        covariance = change @ covariance @ change.T
+    return PoseUncertainty(covariance, tuple(np.linalg.qr(change @ np.array(free).T)[0].T) if free else free)
 
 
 def _complement(directions: Array) -> Array:

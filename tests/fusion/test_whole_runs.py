@@ -113,8 +113,20 @@ def test_the_disk_is_full(tiny_disk, more):
     process = run(SHIPPED, "--output", tiny_disk / "out", *more)
     line = assert_ended_in_one_line(process, tiny_disk)
     assert "No space left on device" in line or "not all of it was written" in line
-    if more:  # there is room for it, once the cloud that was too large is taken away
-        assert len(pairs(tiny_disk / "out")) == 0
+    # There is room for it, once the cloud and the recording that were too large are taken away.
+    assert line.endswith(f"what was finished is in {tiny_disk / 'out' / 'report.json'}")
+    assert len(pairs(tiny_disk / "out")) == 1
+    assert "Rerun recording" not in (tiny_disk / "out" / "report.md").read_text(encoding="utf-8")
+
+
+def test_a_recording_fills_the_disk(tiny_disk):
+    """Rerun's writer notices by itself; all pairs are registered and reported, and the one line says what is lost."""
+    process = run(SHIPPED, "--output", tiny_disk / "out", "--no-clouds")
+    line = assert_ended_in_one_line(process, tiny_disk)
+    assert len(pairs(tiny_disk / "out")) == 3
+    assert "not all of it was written" in line or "No space left on device" in line
+    assert not list(tiny_disk.rglob("*.rrd"))
+    assert ".rrd" not in (tiny_disk / "out" / "report.md").read_text(encoding="utf-8")
 
 
 def test_recordings_on_a_cluster_whose_worker_is_killed(tmp_path, monkeypatch):

@@ -12,7 +12,7 @@ from typing import Any
 from rich.console import Console
 
 from adagmm_fusion.commands.progress import progress
-from adagmm_fusion.errors import one_line
+from adagmm_fusion.errors import OutputError, one_line
 from adagmm_fusion.files.atomic_file import check_output_file
 from adagmm_fusion.files.output_folder import exclusive
 from adagmm_fusion.files.stale_results import remove_results_of_report
@@ -69,13 +69,16 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
     notes = (*recording.notes, *recording_warnings(recording))
     results: dict[str, str] = {}
     records: list[PairRecord] = []
-    rig_estimate, stopped = RigEstimate(), None
+    rig_estimate = RigEstimate()
+    stopped: KeyboardInterrupt | None = None
+    failure: Exception | None = None
     with contextlib.ExitStack() as stack:
         stack.enter_context(exclusive(folder))
         for name in ("report.md", "report.json", "rig.yaml"):
             check_output_file(folder / name)
         remove_results_of_report(folder, SCHEMA)
-        viewer = None if args.no_rerun else stack.enter_context(_viewer(args, recording, settings, len(indices)))
+        viewing = stack.enter_context(contextlib.ExitStack())
+        viewer = None if args.no_rerun else viewing.enter_context(_viewer(args, recording, settings, len(indices)))
         display = stack.enter_context(progress())
         task = display.add_task("compiling kernels", total=len(indices))
         compile_kernels(settings.device)
@@ -93,35 +96,49 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
                 display.advance(task)
         except KeyboardInterrupt as stop:
             stopped = stop
-        finally:
-            # Whatever ended the run, the pairs that were finished are reported.
-            if viewer is not None:
+        except Exception as problem:
+            failure = problem
+        # Whatever ended the run, the pairs that were finished are reported. A Rerun recording is put in place before that,
+        # or taken away: on a full disk it makes room when it goes.
+        try:
+            if viewer is not None and failure is None:
                 viewer.summarize(records, finished=True)
-            rig = rig_estimate.rig(f"{recording.path.resolve().name}_estimated")
-            if rig is not None:
-                save_rig(folder / "rig.yaml", rig)
-                results["estimated rig"] = "rig.yaml"
-            if logs_to_file:
-                results["Rerun recording"] = os.path.relpath(args.save, folder)
-            report = Report(
-                recording=recording.name,
-                path=str(args.recording),
-                format=recording.format,
-                sensors=recording.sensors,
-                calibration=args.calibration,
-                settings=settings,
-                pairs_asked=len(indices),
-                records=records,
-                interrupted=stopped is not None,
-                notes=notes,
-                results=results,
-            )
-            paths = write_report(folder, report)
-            # Whoever has hung up reads no more of it.
-            with contextlib.nullcontext() if stopped is None else contextlib.suppress(OSError):
-                display.stop()
-                if not args.quiet:
-                    _print(report, folder, paths, to_stderr=args.stdout)
+                if logs_to_file:
+                    viewing.close()
+                    results["Rerun recording"] = os.path.relpath(args.save, folder)
+        except OutputError as problem:
+            failure = problem
+        if failure is not None:
+            with contextlib.suppress(OutputError):
+                viewing.__exit__(type(failure), failure, failure.__traceback__)
+        rig = rig_estimate.rig(f"{recording.path.resolve().name}_estimated")
+        if rig is not None:
+            results["estimated rig"] = "rig.yaml"
+        report = Report(
+            recording=recording.name,
+            path=str(args.recording),
+            format=recording.format,
+            sensors=recording.sensors,
+            calibration=args.calibration,
+            settings=settings,
+            pairs_asked=len(indices),
+            records=records,
+            interrupted=stopped is not None,
+            notes=notes,
+            results=results,
+        )
+        if rig is not None:
+            save_rig(folder / "rig.yaml", rig)
+        paths = write_report(folder, report)
+        # Whoever has hung up reads no more of it.
+        with contextlib.nullcontext() if stopped is None else contextlib.suppress(OSError):
+            display.stop()
+            if not args.quiet:
+                _print(report, folder, paths, to_stderr=args.stdout)
+    if isinstance(failure, OutputError):
+        raise OutputError(f"{failure}; what was finished is in {paths[1]}") from failure
+    if failure is not None:
+        raise failure
     ok = sum(record.status == "ok" for record in records)
     return verdict(ok, len(records), strict=args.strict) if stopped is None else exit_code(stopped)
 

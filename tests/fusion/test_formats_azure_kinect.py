@@ -5,6 +5,7 @@ import pytest
 from azure_mkv import COLOR_SIZE, DEPTH_SIZE, write_azure_mkv
 from depth_scene import camera_pose, render
 
+from adagmm_fusion.cli import main
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.formats import video
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
@@ -41,6 +42,50 @@ def test_a_recording_is_read_with_its_own_calibration(tmp_path, codec):
         assert np.abs(frame.color.astype(int) - FRAMES[i][0]).mean() < 4.0
         off = np.abs(frame.depth_m() - render(COLOR, pose)[1])
         assert np.isfinite(off).mean() > 0.5 and np.nanpercentile(off, 95) < 0.02
+
+
+def test_a_capture_that_lacks_an_image_is_left_out_and_said(tmp_path, capsys):
+    """Neither is another capture's image taken in its place, nor a capture shown twice."""
+    (first, depth), (second, _), (third, last) = FRAMES
+    captures = [(first, depth), (None, FRAMES[1][1]), (second, None), (third, last), (None, None), (first, depth)]
+    write_azure_mkv(tmp_path / "desk.mkv", captures, COLOR, DEPTH, T_COLOR_DEPTH)
+    recording = open_recording(tmp_path / "desk.mkv")
+    assert [round(30 * entry.load().timestamp) for entry in recording.entries] == [0, 3, 5]
+    for entry, color in zip(recording.entries, (first, third, first), strict=True):
+        assert np.abs(entry.load().color.astype(int) - color).mean() < 4.0
+    assert main(["info", str(tmp_path / "desk.mkv")]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "1 depth images without colour of the same capture: left out" in told
+    assert "1 colour images without depth of the same capture: left out" in told
+
+
+@pytest.mark.parametrize("delay_ms", [0, 12, 20])
+def test_depth_that_is_late_by_intent(tmp_path, delay_ms):
+    write_azure_mkv(tmp_path / "desk.mkv", FRAMES, COLOR, DEPTH, T_COLOR_DEPTH, depth_delay_ms=delay_ms)
+    recording = open_recording(tmp_path / "desk.mkv")
+    assert len(recording.entries) == 3 and not recording.notes
+    for entry, (color, _) in zip(recording.entries, FRAMES, strict=True):
+        assert np.abs(entry.load().color.astype(int) - color).mean() < 4.0
+
+
+def test_a_delay_that_is_none(tmp_path):
+    path = tmp_path / "desk.mkv"
+    write_azure_mkv(path, FRAMES[:1], COLOR, DEPTH, T_COLOR_DEPTH, depth_delay_ms=12)
+    path.write_bytes(path.read_bytes().replace(b"12000000", b"1200000x"))
+    with pytest.raises(RecordingError, match="K4A_DEPTH_DELAY_NS: expected nanoseconds, got '1200000x'"):
+        open_recording(path)
+
+
+def test_no_capture_at_all(tmp_path):
+    write_azure_mkv(
+        tmp_path / "desk.mkv",
+        [(FRAMES[0][0], None)] + [(None, None)] * 30 + [(None, FRAMES[0][1])],
+        COLOR,
+        DEPTH,
+        T_COLOR_DEPTH,
+    )
+    with pytest.raises(RecordingError, match=r"no depth image has a colour image within 17 ms of it"):
+        open_recording(tmp_path / "desk.mkv")
 
 
 def test_damage_is_an_error_of_ours(tmp_path):

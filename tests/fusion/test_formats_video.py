@@ -1,11 +1,7 @@
-"""Video files: .bag files as librealsense writes them, and .mkv files through a stand-in that answers as Open3D does.
-
-The stand-in replaces the reader class only, which needs libraries and a camera's recording of hundreds of megabytes.
-"""
+"""RealSense .bag files as librealsense writes them, and what all video files have in common."""
 
 import os
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import open3d as o3d
@@ -16,7 +12,7 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from adagmm_fusion.cli import main
-from adagmm_fusion.errors import RecordingError, RigError
+from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.formats import video
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.recordings.opening import open_recording
@@ -34,43 +30,6 @@ def nothing_stays_open():
     video._open.cache_clear()
     yield
     video._open.cache_clear()
-
-
-class FakeMKV:
-    """o3d.io.AzureKinectMKVReader over nine captures at 30 a second; every second one lacks an image and is None."""
-
-    def open(self, path):
-        self.sensor = path.rsplit("/", 1)[1][0]
-        return True
-
-    def get_metadata(self):
-        return SimpleNamespace(width=64, height=48, stream_length_usec=300_000)
-
-    def seek_timestamp(self, microseconds):
-        self.index = round(microseconds * 30 / 1e6)
-        return True
-
-    def is_eof(self):
-        return self.index >= 9
-
-    def next_frame(self):
-        self.index += 1
-        if self.index % 2 == 0:
-            return None
-        color, depth = render(INTRINSICS, POSES[self.sensor])
-        stored = np.rint(depth * 1000).astype(np.uint16)
-        return SimpleNamespace(color=o3d.geometry.Image(color), depth=o3d.geometry.Image(stored))
-
-
-@pytest.fixture
-def fake_mkv(monkeypatch):
-    monkeypatch.setattr(o3d.io, "AzureKinectMKVReader", FakeMKV)
-
-
-def files(tmp_path, *names):
-    for name in names:
-        (tmp_path / name).write_bytes(b"")
-    return tmp_path
 
 
 def numbered(sensor, number):
@@ -202,14 +161,6 @@ def test_frames_that_only_one_sensor_has(tmp_path):
     assert len(recording) == 4
 
 
-def test_a_length_of_centuries(fake_mkv, tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        FakeMKV, "get_metadata", lambda self: SimpleNamespace(width=64, height=48, stream_length_usec=1 << 62)
-    )
-    with pytest.raises(RecordingError, match=r"a\.mkv: expected at most 1000000 frames, by its length it has"):
-        open_recording(files(tmp_path, "a.mkv"), rig=RIG)
-
-
 def test_two_files_are_a_pair_of_sensors_whose_poses_the_rig_knows(tmp_path):
     for sensor in ("b", "a"):
         bag(tmp_path, sensor)
@@ -221,47 +172,26 @@ def test_two_files_are_a_pair_of_sensors_whose_poses_the_rig_knows(tmp_path):
     assert open_recording(tmp_path)[0].T_target_source is None
 
 
-def test_mkv_needs_a_rig_for_its_intrinsics(fake_mkv, tmp_path):
-    folder = files(tmp_path, "a.mkv", "b.mkv")
-    with pytest.raises(RecordingError, match=r"a\.mkv: the intrinsics of a are not known here; give a rig"):
-        open_recording(folder)
-    with pytest.raises(RigError, match="no sensor 'b'"):
-        open_recording(folder, rig=Rig("x", {k: SensorCalibration(k, INTRINSICS, 1000.0, None) for k in ("a", "c")}))
-    recording = open_recording(folder, rig=RIG)
-    assert len(recording) == 9
-    color, depth = render(INTRINSICS, POSES["b"])
-    source = recording[1].source
-    assert np.array_equal(source.color, color) and source.timestamp == pytest.approx(1 / 30, rel=1e-12, abs=0)
-    np.testing.assert_allclose(source.depth_m(), depth, rtol=1e-6, atol=0.51e-3)
-
-
-def test_end_of_an_mkv(fake_mkv, tmp_path, monkeypatch):
-    frames = open_recording(files(tmp_path, "a.mkv"), rig=RIG).frames()
-    monkeypatch.setattr(FakeMKV, "is_eof", lambda self: True)
-    with pytest.raises(RecordingError, match=r"a\.mkv: no frame with colour and depth at 0\.133 s or later"):
-        frames.frame(4)
-
-
 def test_colour_formats_that_are_not_known(tmp_path):
     frames = open_recording(bag(tmp_path, color="yuv422")).frames()
     with pytest.raises(RecordingError, match="expected Color as rgb8, bgr8, rgba8, bgra8, got 'yuv422'"):
         frames.frame(0)
 
 
-def test_sensors_of_different_frame_rates_are_no_pair(fake_mkv, tmp_path):
+def test_sensors_of_different_frame_rates_are_no_pair(tmp_path):
     bag(tmp_path)
-    with pytest.raises(RecordingError, match=r"b\.mkv: 30 frames a second, but a\.bag has 10"):
-        open_recording(files(tmp_path, "b.mkv"), rig=RIG)
-
-
-def test_a_broken_mkv_is_one_line(tmp_path, capfd):
-    """What Open3D's real reader says; it needs libraries that it does not bring along."""
-    (tmp_path / "a.mkv").write_bytes(bytes(1000))
-    with pytest.raises(RecordingError, match=r"Open3D can(not open it|not read such files here)") as caught:
+    bag(tmp_path, "b", fps=30)
+    with pytest.raises(RecordingError, match=r"b\.bag: 30 frames a second, but a\.bag has 10"):
         open_recording(tmp_path, rig=RIG)
-    message = str(caught.value)
-    assert message.startswith(str(tmp_path / "a.mkv")) and "\n" not in message and "\x1b" not in message
-    assert capfd.readouterr().err == ""
+
+
+def test_an_mkv_that_is_none_is_one_line(tmp_path):
+    (tmp_path / "a.mkv").write_bytes(bytes(1000))
+    with pytest.raises(
+        RecordingError, match=r"a\.mkv: expected a Matroska file \(\.mkv\), it is something else"
+    ) as caught:
+        open_recording(tmp_path, rig=RIG)
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("kept", [0, 13, 1000, 0.5, 0.9])
@@ -295,18 +225,6 @@ def test_a_bag_of_something_else(tmp_path):
         writer.write(connection, 1, bytes(types.serialize_ros1(text, "std_msgs/msg/String")))
     with pytest.raises(RecordingError, match=r"a\.bag: expected topics of a camera's colour and depth"):
         open_recording(path)
-
-
-def test_a_build_of_open3d_without_the_mkv_reader(tmp_path, monkeypatch):
-    monkeypatch.delattr(o3d.io, "AzureKinectMKVReader")
-    with pytest.raises(RecordingError, match=r"a\.mkv: this build of Open3D has no reader for it"):
-        open_recording(files(tmp_path, "a.mkv"), rig=RIG)
-
-
-def test_the_real_mkv_reader_has_what_the_stand_in_has():
-    methods = [name for name in vars(FakeMKV) if callable(getattr(FakeMKV, name)) and not name.startswith("_")]
-    assert "next_frame" in methods and all(hasattr(o3d.io.AzureKinectMKVReader, name) for name in methods)
-    assert not hasattr(o3d.io.AzureKinectMKVReader, "get_timestamp")
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes of POSIX")

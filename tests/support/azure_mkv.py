@@ -43,8 +43,11 @@ def camera(purpose: str, k, sensor, crop, T) -> dict:
     }
 
 
-def write_azure_mkv(path: Path, frames, color_k, depth_k, T_color_depth, *, codec: str = "MJPG") -> None:
-    """frames: (color (720, 1280, 3) RGB, depth (288, 320) uint16), 30 a second, a cluster each."""
+def write_azure_mkv(
+    path: Path, frames, color_k, depth_k, T_color_depth, *, codec: str = "MJPG", depth_delay_ms: int = 0
+) -> None:
+    """frames: (color (720, 1280, 3) RGB, depth (288, 320) uint16), 30 a second, a cluster each; None for an image that
+    the camera lost. The depth is taken so much later, and 2 ms more."""
     cameras = [
         camera("Depth", depth_k, DEPTH_SENSOR, DEPTH_CROP, np.eye(4)),
         camera("PhotoVideo", color_k, COLOR_SENSOR, COLOR_CROP, T_color_depth),
@@ -54,20 +57,26 @@ def write_azure_mkv(path: Path, frames, color_k, depth_k, T_color_depth, *, code
     attached = element(0x466E, b"calibration.json") + element(0x4660, b"application/octet-stream")
     segment = element(0x1549A966, number(0x2AD7B1, 1_000_000))
     segment += element(0x1654AE6B, track(1, "COLOR", COLOR_SIZE, codec) + track(2, "DEPTH", DEPTH_SIZE, "b16g"))
-    segment += element(0x1254C367, element(0x7373, element(0x67C8, tag)))
+    delay = element(0x45A3, b"K4A_DEPTH_DELAY_NS") + element(0x4487, str(depth_delay_ms * 1_000_000).encode())
+    segment += element(0x1254C367, b"".join(element(0x7373, element(0x67C8, one)) for one in (tag, delay)))
     segment += element(0x1941A469, element(0x61A7, attached + element(0x465C, calibration)))
     for i, (color, depth) in enumerate(frames):
-        if codec == "MJPG":
+        cluster = number(0xE7, round(1000 * i / 30))
+        if color is None:
+            data = None
+        elif codec == "MJPG":
             data = cv2.imencode(".jpg", color[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 98])[1].tobytes()
         else:
             planes = cv2.cvtColor(color, cv2.COLOR_RGB2YUV_I420)
             rows = color.shape[0]
             chroma = planes[rows:].reshape(2, -1)
             data = planes[:rows].tobytes() + np.ascontiguousarray(chroma.T).tobytes()
-        cluster = number(0xE7, round(1000 * i / 30))
-        cluster += element(0xA3, b"\x81\0\0\x80" + data)
-        # The depth camera fires 2 ms later; its block is in a group.
-        cluster += element(0xA0, element(0xA1, b"\x82\0\x02\0" + depth.astype(">u2").tobytes()))
+        if data is not None:
+            cluster += element(0xA3, b"\x81\0\0\x80" + data)
+        if depth is not None:
+            # The depth's block is in a group.
+            late = (depth_delay_ms + 2).to_bytes(2, "big")
+            cluster += element(0xA0, element(0xA1, b"\x82" + late + b"\0" + depth.astype(">u2").tobytes()))
         segment += element(0x1F43B675, cluster)
     # A file that is still being written does not know its size.
     unknown = b"\x18\x53\x80\x67\x01" + b"\xff" * 7

@@ -98,7 +98,7 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
             stopped = stop
         except Exception as problem:
             failure = problem
-        # Whatever ended the run, the pairs that were finished are reported. A Rerun recording is put in place before that,
+        # Whatever ended the run, the pairs that were finished are reported. A Rerun recording is put in place before,
         # or taken away: on a full disk it makes room when it goes.
         try:
             if viewer is not None and failure is None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from adagmm_fusion.errors import RecordingError
-from adagmm_fusion.files.input_file import MAX_BYTES
+from adagmm_fusion.files.input_file import MAX_BYTES, check_input
 
 EBML, SEGMENT, INFO, TRACKS, TAGS, ATTACHMENTS, CLUSTER = (
     0x1A45DFA3, 0x18538067, 0x1549A966, 0x1654AE6B, 0x1254C367, 0x1941A469, 0x1F43B675,
@@ -59,10 +59,11 @@ class MatroskaFile:
     """
 
     def __init__(self, path: Path) -> None:
+        check_input(path, RecordingError)
         self.path = path
         self.tags: dict[str, str] = {}
         self.attachments: dict[str, bytes] = {}
-        if not is_matroska(path):
+        if not _is_matroska(path):
             raise RecordingError(f"{path}: expected a Matroska file (.mkv), it is something else or damaged")
         tracks: list[Track] = []
         scale, cluster_time, name = 1_000_000, 0, ""
@@ -97,10 +98,8 @@ class MatroskaFile:
             return file.read(size)
 
 
-def is_matroska(path: Path) -> bool:
+def _is_matroska(path: Path) -> bool:
     """Whether a file starts as Matroska's do. It may be larger than what is read whole elsewhere."""
-    if not path.is_file():
-        return False
     with path.open("rb") as file:
         return int.from_bytes(file.read(4), "big") == EBML
 

@@ -3,6 +3,7 @@
     track COLOR          MJPG, or NV12 or YUY2 as they are
     track DEPTH          b16g: 16 bit, the high byte first, millimetres, of the depth camera
     tag K4A_DEPTH_MODE   NFOV_UNBINNED, ...
+    tag K4A_DEPTH_DELAY_NS  how much later than the colour of its capture the depth is taken
     calibration.json     attached: CalibrationInformation, Cameras: of each its Purpose, Rt (depth camera to this one,
                          metres) and 14 ModelParameters: cx cy fx fy as shares of the sensor's width and height,
                          k1 to k6, codx, cody, p2, p1
@@ -11,6 +12,7 @@ A mode shows a part of the sensor, smaller; they are here as in the SDK's mode_s
 registered to the colour image. Source: Azure-Kinect-Sensor-SDK, its record format page.
 """
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +28,7 @@ from adagmm_fusion.frames.depth_registration import register_depth
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_o3d.errors import InputError
 
-CALIBRATION = "calibration.json"
+CALIBRATION, DEPTH_DELAY = "calibration.json", "K4A_DEPTH_DELAY_NS"
 # (width, height) of the picture: of the whole sensor at this resolution, and where the picture begins in it.
 COLOR_MODES = {
     (1280, 720): ((1280, 960), (0, 120)),
@@ -46,18 +48,37 @@ YUV = {"NV12": (cv2.COLOR_YUV2RGB_NV12, 3, 2), "YUY2": (cv2.COLOR_YUV2RGB_YUY2, 
 DEPTH_CODEC = "b16g"
 
 
+def _captures(depth: np.ndarray, color: np.ndarray, interval: float) -> np.ndarray:
+    """(n, 2) the numbers of a depth image and of a colour image of one capture: by their times [ns] nearest to each
+    other, and less than half an `interval` apart."""
+    found, back = _nearest(depth, color), _nearest(color, depth)
+    own = np.arange(len(depth))
+    both = (back[found] == own) & (2 * np.abs(color[found] - depth) < interval)
+    return np.stack([own, found], axis=1)[both]
+
+
+def _nearest(times: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """(n,) for each time the number of the nearest of the others, of equally near ones the earlier."""
+    order = np.argsort(others, kind="stable")
+    ordered = others[order]
+    after = np.clip(np.searchsorted(ordered, times), 1, max(1, len(others) - 1))
+    before = after - 1
+    after = np.minimum(after, len(others) - 1)
+    return order[np.where(times - ordered[before] <= ordered[after] - times, before, after)]
+
+
 class AzureKinectStream:
-    """Colour and depth of one camera, a frame for each depth image; depth is registered to the colour image.
+    """Colour and depth of one camera, a frame for each capture that has both; depth is registered to the colour image.
 
     intrinsics : of the colour image.    depth_scale : units per metre.    fps : of the depth.
-    times : (n,) of the depth images [s], from the first one.
+    times : (n,) of the frames' depth images [s], from the first one.    notes : how many captures lack an image.
 
     Raises
     ------
     RecordingError  if the file is no such recording, or damaged.
     """
 
-    depth_scale, notes = 1000.0, ()
+    depth_scale = 1000.0
 
     def __init__(self, path: str) -> None:
         self.path = path
@@ -73,30 +94,44 @@ class AzureKinectStream:
         self._depth_intrinsics = self._intrinsics(cameras["Depth"], self._depth, DEPTH_MODES)
         self._T_color_depth = self._pose(cameras["PhotoVideo"])
         times = np.array([time for time, *_ in self._depth.blocks])
-        self.times = (times - times[0]) / 1e9
-        self._color_times = (np.array([time for time, *_ in self._color.blocks]) - times[0]) / 1e9
-        interval = float(np.median(np.diff(times))) if len(times) > 1 else 1e9 / 30
-        if interval <= 0:
+        color_times = np.array([time for time, *_ in self._color.blocks])
+        apart = np.diff(times) if len(times) > 1 else np.array([1e9 / 30])
+        if np.median(apart) <= 0:
             raise RecordingError(f"{path}: its depth images are not in the order of time")
+        # Where images are missing the next one is farther off.
+        interval = float(np.quantile(apart[apart > 0], 0.1, method="lower"))
         self.fps = float(min((5, 15, 30), key=lambda fps: abs(1e9 / fps - interval)))
+        self._captures = _captures(times - self._depth_delay_ns(), color_times, 1e9 / self.fps)
+        if not len(self._captures):
+            raise RecordingError(f"{path}: no depth image has a colour image within {500 / self.fps:.0f} ms of it")
+        self.times = (times[self._captures[:, 0]] - times[0]) / 1e9
+        missing = [len(images) - len(self._captures) for images in (times, color_times)]
+        self.notes = tuple(
+            f"{count} {own} without {other} of the same capture: left out"
+            for count, own, other in zip(missing, ("depth images", "colour images"), ("colour", "depth"), strict=True)
+            if count
+        )
 
     def at(self, index: int) -> tuple[np.ndarray, np.ndarray, float]:
-        """RGB (H, W, 3), depth (H, W) and time [s] of a depth image, with the colour nearest to it in time.
+        """RGB (H, W, 3), depth (H, W) and time [s] of a frame.
 
         Raises
         ------
-        RecordingError  if there is no colour within a frame of it, or an image is damaged.
+        RecordingError  if an image is damaged.
         """
-        seconds = float(self.times[index])
-        nearest = int(np.abs(self._color_times - seconds).argmin())
-        apart = abs(float(self._color_times[nearest]) - seconds)
-        if apart > 1.0 / self.fps + 1e-9:
-            raise RecordingError(f"{self.path}: the colour nearest to {seconds:.3f} s is {1000 * apart:.0f} ms away")
-        depth = self._depth_image(index)
+        of_depth, of_color = (int(number) for number in self._captures[index])
+        depth = self._depth_image(of_depth)
         registered = register_depth(
             depth, self._depth_intrinsics, self.intrinsics, self._T_color_depth, self.depth_scale
         )
-        return self._color_image(nearest), np.floor(registered + 0.5).astype(np.uint16), seconds
+        return self._color_image(of_color), np.floor(registered + 0.5).astype(np.uint16), float(self.times[index])
+
+    def _depth_delay_ns(self) -> int:
+        """How much later than the colour the depth is taken by intent."""
+        text = self._file.tags.get(DEPTH_DELAY, "0")
+        if not re.fullmatch(r"-?\d{1,12}", text):
+            raise RecordingError(f"{self.path}: {DEPTH_DELAY}: expected nanoseconds, got {text[:40]!a}")
+        return int(text)
 
     def _track(self, name: str) -> Track:
         track = self._file.tracks.get(name)

@@ -5,7 +5,7 @@ synchronised sensors, whose names are the files' names, the first one by name be
 file's first depth image, which synchronised recordings share. A rig with these sensors gives their poses, and replaces
 the intrinsics. There is a frame for each depth image, whatever the clock says between them; frames of several sensors
 belong together where their times differ by less than half a frame. What is in the files: bag_stream.py,
-azure_kinect.py, mkv_stream.py.
+azure_kinect.py.
 """
 
 from collections.abc import Iterator
@@ -16,11 +16,9 @@ import numpy as np
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import checked_frame, inside
-from adagmm_fusion.files.matroska_file import is_matroska
 from adagmm_fusion.formats import ros_bag
 from adagmm_fusion.formats.azure_kinect import AzureKinectStream
 from adagmm_fusion.formats.bag_stream import BagStream, is_realsense
-from adagmm_fusion.formats.mkv_stream import MKVStream
 from adagmm_fusion.formats.options import ReadOptions
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame
 from adagmm_fusion.recordings.frame_sequence import FrameEntry, PairEntry, Recording, sequential_pairs
@@ -106,9 +104,6 @@ def _load(file: Path, name: str, index: int, intrinsics: PinholeIntrinsics, dept
 
 
 @lru_cache(maxsize=4)
-def _open(path: str) -> BagStream | AzureKinectStream | MKVStream:
+def _open(path: str) -> BagStream | AzureKinectStream:
     """An open file. It cannot go to another process, so each process opens its own."""
-    if not path.lower().endswith(".mkv"):
-        return BagStream(path)
-    # What is no Matroska file is left to Open3D, which says so.
-    return AzureKinectStream(path) if is_matroska(Path(path)) else MKVStream(path)
+    return AzureKinectStream(path) if path.lower().endswith(".mkv") else BagStream(path)

@@ -98,8 +98,8 @@ def register_mixtures(
         )
         ambiguous = found.ambiguous
         # Either direction of a pair is one problem for the refinement, too, whose pairs do not look alike from both
-        # clouds. It goes by the clouds' radii, which points given several times do not change. What is learnt of colours
-        # belongs to the caller's direction.
+        # clouds. It goes by the clouds' radii, which points given several times do not change. With colours it is the
+        # caller's: what is learnt of them belongs to it.
         dense, coloured = any(cloud.dense for cloud in clouds), moving.colours is not None
         inverted = not coloured and refines_inverse(normalisation, dense=dense, turned=turned)
         best, limits = _within(limits, found.end if inverted == turned else inverse_end(found.end))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.grouping import Groups
 from adagmm_o3d.kernels.cpu.consistency import shared_support
-from adagmm_o3d.kernels.cpu.features import BINS, FEATURE, describe, scatter_around, two_nearest
+from adagmm_o3d.kernels.cpu.features import BINS, FEATURE, describe, scatter_around, nearest_features
 from adagmm_o3d.mixtures.merging import FLAGGED
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.sampling import some_of
@@ -27,14 +27,14 @@ from adagmm_o3d.mixtures.sampling import some_of
 THINNED, THINNED_FROM, POINTS_EACH, FEWEST = 1000, 20_000, 1.1, 40
 # Radii, in edges of the grid: of the neighbours that make a normal, which are no fewer than so many, and of those that
 # make a feature.
-NORMAL_RADIUS, NORMAL_POINTS, FEATURE_RADIUS = 1.5, 10, 5.0
+NORMAL_RADIUS, NORMAL_POINTS, FEATURE_RADIUS = 1.5, 10, 4.0
 # The correspondences that features agree on best.
 CORRESPONDENCES = 600
 # Two correspondences are compatible when their distances agree to so many edges and the cosines of their normals to
 # this.
-TOLERANCE, TURN = 1.5, 0.35
+TOLERANCE, TURN = 1.0, 0.35
 # So many correspondences, each with the others that it shares most support with, are made into poses.
-SEEDS, CONSENSUS = 30, 20
+SEEDS, CONSENSUS = 60, 20
 # Fits of a pose to all correspondences that agree with it.
 FITS = 2
 
@@ -93,9 +93,9 @@ def _cells(points: Array, edge: float) -> NDArray[np.int64]:
 
 
 def _thinned(mixture: Mixture, edge: float) -> Thinned:
-    points = _some_points(mixture)
+    points = _in_order(_some_points(mixture))
     groups = Groups(_cells(points, edge), np.ones(len(points)))
-    means = np.ascontiguousarray(groups.means(points))
+    means = _in_order(groups.means(points))
     scatter = np.empty((len(means), 3, 3))
     reach = max(NORMAL_RADIUS, math.sqrt(NORMAL_POINTS * len(means) / (math.pi * len(points))))
     scatter_around(points, means, reach * edge, scatter)
@@ -105,10 +105,19 @@ def _thinned(mixture: Mixture, edge: float) -> Thinned:
     return Thinned(means, normals, features.astype(np.float32))
 
 
+def _in_order(points: Array) -> Array:
+    """(n, 3) points in ascending x."""
+    return np.ascontiguousarray(points[np.argsort(points[:, 0], kind="stable")])
+
+
 def _correspondences(a: NDArray[np.float32], b: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Indices of the pairs that are nearest to each other, mutual ones first and then by how far the second best is."""
-    there, least_there = _nearest_of_either_sign(a, b)
-    back, least_back = _nearest_of_either_sign(b, a)
+    turned = b.copy()
+    turned[:, :BINS], turned[:, 2 * BINS :] = b[:, BINS - 1 :: -1], b[:, : 2 * BINS - 1 : -1]
+    there, back = np.empty(len(a), np.intp), np.empty(len(b), np.intp)
+    least_there, least_back = np.empty((len(a), 2), np.float32), np.empty((len(b), 2), np.float32)
+    tables = np.ascontiguousarray(b.T), np.ascontiguousarray(turned.T)
+    nearest_features(a, *tables, there, least_there, back, least_back)
     i = np.concatenate([np.arange(len(a)), back])
     j = np.concatenate([there, np.arange(len(b))])
     ratio = np.concatenate([least[:, 0] / np.maximum(least[:, 1], 1e-12) for least in (least_there, least_back)])
@@ -117,65 +126,62 @@ def _correspondences(a: NDArray[np.float32], b: NDArray[np.float32]) -> tuple[ND
     return np.divmod(key[order], len(b))
 
 
-def _nearest_of_either_sign(
-    own: NDArray[np.float32], others: NDArray[np.float32]
-) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
-    """For each feature the nearest other, whichever way that one's normal points; squared distances of the best two."""
-    turned = others.copy()
-    turned[:, :BINS], turned[:, 2 * BINS :] = others[:, BINS - 1 :: -1], others[:, : 2 * BINS - 1 : -1]
-    best, least = np.empty((2, len(own)), np.intp), np.empty((2, len(own), 2), np.float32)
-    for k, table in enumerate((others, turned)):
-        two_nearest(own, np.ascontiguousarray(table.T), best[k], least[k])
-    which = (least[1, :, 0] < least[0, :, 0]).astype(np.intp)
-    each = np.arange(len(own))
-    return best[which, each], np.sort(np.concatenate(least, axis=1), axis=1)[:, :2]
-
-
 def _poses(p: Array, q: Array, support: NDArray[np.int32], tolerance: float) -> list[Array]:
     """The poses of the sets of correspondences p -> q that support each other, most supported first."""
-    free = np.full(len(p), True)
-    found: list[tuple[int, Array]] = []
+    sets = _consensus_sets(support)
+    if not sets:
+        return []
+    weights = np.zeros((len(sets), len(p)))
+    for row, members in zip(weights, sets, strict=True):
+        row[members] = support[members[0], members]
+        row[members[0]] = row.max() + 1.0
+    poses = _fitted(p, q, weights)
+    agree = _agree(poses, p, q, tolerance)
+    for _ in range(FITS):
+        enough = agree.sum(axis=1) >= 3
+        poses[enough] = _fitted(p, q, agree[enough].astype(np.float64))
+        agree[enough] = _agree(poses[enough], p, q, tolerance)
+    return list(poses[np.argsort(-agree.sum(axis=1), kind="stable")])
+
+
+def _consensus_sets(support: NDArray[np.int32]) -> list[NDArray[np.intp]]:
+    """For up to SEEDS correspondences, most supported first, each with the others that it shares most support with; a
+    seed is in no set before its own."""
+    free = np.full(len(support), True)
+    sets: list[NDArray[np.intp]] = []
     for seed in np.argsort(-support.sum(axis=1), kind="stable"):
-        if len(found) == SEEDS:
+        if len(sets) == SEEDS:
             break
         if not free[seed]:
             continue
-        free[seed] = False
-        row = support[seed].astype(np.float64)
-        row[seed] = row.max() + 1.0
-        members = np.argsort(-row, kind="stable")[:CONSENSUS]
-        members = members[row[members] > 0.0]
-        if len(members) < 3:
-            continue
-        pose = _fitted(p[members], q[members], row[members])
-        agree = _agree(pose, p, q, tolerance)
-        for _ in range(FITS):
-            if agree.sum() < 3:
-                break
-            pose = _fitted(p[agree], q[agree], np.ones(int(agree.sum())))
-            agree = _agree(pose, p, q, tolerance)
-        found.append((int(agree.sum()), pose))
-        free &= ~agree
-    return [pose for _, pose in sorted(found, key=lambda item: -item[0])]
+        row = support[seed]
+        members = np.argsort(-row, kind="stable")[: CONSENSUS - 1]
+        members = np.concatenate([[seed], members[row[members] > 0]])
+        free[members] = False
+        if len(members) >= 3:
+            sets.append(members)
+    return sets
 
 
-def _agree(pose: Array, p: Array, q: Array, tolerance: float) -> NDArray[np.bool_]:
-    offsets = p @ pose[:3, :3].T + pose[:3, 3] - q
+def _agree(poses: Array, p: Array, q: Array, tolerance: float) -> NDArray[np.bool_]:
+    """(k, n) which of the n correspondences agree with each of (k, 4, 4) poses."""
+    offsets = poses[:, :3, :3] @ p.T + poses[:, :3, 3:] - q.T
     return (offsets**2).sum(axis=1) < tolerance**2
 
 
 def _fitted(p: Array, q: Array, weights: Array) -> Array:
-    """(4, 4) the rigid motion that brings (n, 3) p nearest to q, in weighted least squares.
+    """(k, 4, 4) the rigid motions that bring (n, 3) p nearest to q, in least squares with each of (k, n) weights.
 
     Source
     ------
     W. Kabsch: A solution for the best rotation to relate two sets of vectors, Acta Crystallographica A32, 1976.
     """
-    shares = weights / weights.sum()
+    shares = weights / weights.sum(axis=1, keepdims=True)
     mean_p, mean_q = shares @ p, shares @ q
-    left, _, right = np.linalg.svd((p - mean_p).T @ ((q - mean_q) * shares[:, None]))
-    mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    pose = np.eye(4)
-    pose[:3, :3] = (left @ mirror @ right).T
-    pose[:3, 3] = mean_q - pose[:3, :3] @ mean_p
-    return pose
+    moments = (shares[:, None, :] * p.T) @ q - mean_p[:, :, None] * mean_q[:, None, :]
+    left, _, right = np.linalg.svd(moments)
+    left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
+    poses = np.tile(np.eye(4), (len(weights), 1, 1))
+    poses[:, :3, :3] = (left @ right).transpose(0, 2, 1)
+    poses[:, :3, 3] = mean_q - (poses[:, :3, :3] @ mean_p[:, :, None])[:, :, 0]
+    return poses

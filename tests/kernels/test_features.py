@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from adagmm_o3d.kernels.cpu.consistency import shared_support
-from adagmm_o3d.kernels.cpu.features import BINS, FEATURE, describe, scatter_around, two_nearest
+from adagmm_o3d.kernels.cpu.features import BINS, FEATURE, describe, nearest_features, scatter_around
 
 
 def cloud(n, seed=0):
+    """Points in ascending x, as the kernels take them, and normals."""
     rng = np.random.default_rng(seed)
     points, normals = rng.uniform(-1.0, 1.0, (n, 3)), rng.normal(size=(n, 3))
-    return points, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    return points[np.argsort(points[:, 0])], normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
 def angles(p, n, q, m):
@@ -69,21 +70,25 @@ def test_a_feature_whose_normal_is_turned_is_the_same_reversed():
     assert np.mean(np.abs(turned - expected) < 1e-9) > 0.99
 
 
-def test_the_two_nearest_features():
+def test_the_two_nearest_features_both_ways_of_either_sign():
     rng = np.random.default_rng(1)
-    own, others = (rng.normal(size=(n, FEATURE)).astype(np.float32) for n in (7, 12))
-    best, least = np.empty(7, np.intp), np.empty((7, 2), np.float32)
-    two_nearest(own, np.ascontiguousarray(others.T), best, least)
-    squares = ((own[:, None].astype(np.float64) - others[None]) ** 2).sum(axis=2)
-    np.testing.assert_array_equal(best, squares.argmin(axis=1))
-    np.testing.assert_allclose(least, np.sort(squares, axis=1)[:, :2], rtol=1e-5, atol=0)
+    own, others, turned = (rng.normal(size=(n, FEATURE)).astype(np.float32) for n in (7, 12, 12))
+    best, best_other = np.empty(7, np.intp), np.empty(12, np.intp)
+    least, least_other = np.empty((7, 2), np.float32), np.empty((12, 2), np.float32)
+    tables = np.ascontiguousarray(others.T), np.ascontiguousarray(turned.T)
+    nearest_features(own, *tables, best, least, best_other, least_other)
+    straight, reverse = (((own[:, None].astype(np.float64) - x[None]) ** 2).sum(axis=2) for x in (others, turned))
+    squares = np.minimum(straight, reverse)
+    for found, distances, expected in ((best, least, squares), (best_other, least_other, squares.T)):
+        np.testing.assert_array_equal(found, expected.argmin(axis=1))
+        np.testing.assert_allclose(distances, np.sort(expected, axis=1)[:, :2], rtol=1e-5, atol=0)
 
 
 def test_scatter_around_a_point():
     points, _ = cloud(50)
     scatter = np.empty((3, 3, 3))
-    scatter_around(points, points[:3], 0.9, scatter)
-    for query, found in zip(points[:3], scatter, strict=True):
+    scatter_around(points, points[20:23], 0.9, scatter)
+    for query, found in zip(points[20:23], scatter, strict=True):
         near = points[np.linalg.norm(points - query, axis=1) <= 0.9]
         np.testing.assert_allclose(found, np.cov(near.T, bias=True), rtol=1e-9, atol=1e-12)
 

@@ -59,13 +59,18 @@ def _build(stamp):
 
     @njit(**SERIAL_KERNEL_FLAGS)
     def scatter_around(points, queries, radius, scatter):
-        """`scatter` (k, 3, 3) receives the covariance of the (n, 3) points within `radius` of each query (k, 3)."""
+        """`scatter` (k, 3, 3) receives the covariance of the (n, 3) points within `radius` of each query (k, 3); both
+        in ascending x."""
         _ = stamp
         sums = np.empty(10)
+        first = 0
         for q in range(len(queries)):
             sums[:] = 0.0
             x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
-            for i in range(len(points)):
+            while first < len(points) and points[first, 0] < x - radius:
+                first += 1
+            i = first
+            while i < len(points) and points[i, 0] <= x + radius:
                 dx, dy, dz = points[i, 0] - x, points[i, 1] - y, points[i, 2] - z
                 if dx * dx + dy * dy + dz * dz <= radius * radius:
                     sums[0] += 1.0
@@ -78,6 +83,7 @@ def _build(stamp):
                     sums[7] += dy * dy
                     sums[8] += dy * dz
                     sums[9] += dz * dz
+                i += 1
             count = max(sums[0], 1.0)
             place = 4
             for a in range(3):
@@ -88,17 +94,23 @@ def _build(stamp):
 
     @njit(**SERIAL_KERNEL_FLAGS)
     def describe(points, normals, radius, features):
-        """`features` (n, FEATURE) of (n, 3) points with unit normals, from their neighbours within `radius`."""
+        """`features` (n, FEATURE) of (n, 3) points in ascending x with unit normals, from their neighbours within
+        `radius`."""
         _ = stamp
         n = len(points)
         neighbors, counts = np.empty((n, n), np.int32), np.zeros(n, np.int64)
+        first = 0
         for i in range(n):
-            for j in range(n):
+            while points[first, 0] < points[i, 0] - radius:
+                first += 1
+            j = first
+            while j < n and points[j, 0] <= points[i, 0] + radius:
                 dx, dy, dz = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
                 d = dx * dx + dy * dy + dz * dz
                 if 0.0 < d <= radius * radius:
                     neighbors[i, counts[i]] = j
                     counts[i] += 1
+                j += 1
         simple = np.zeros((n, FEATURE))
         for i in range(n):
             for k in range(counts[i]):
@@ -129,28 +141,43 @@ def _build(stamp):
                     features[i, b] = scale * around[b] + simple[i, b]
 
     @njit(**SERIAL_KERNEL_FLAGS)
-    def two_nearest(own, others, best, least):
-        """For each of (n, FEATURE) float32 features its nearest among the (FEATURE, m) `others`, in `best` (n,); and
-        the squared distances of the nearest and of the second nearest in `least` (n, 2)."""
+    def nearest_features(own, others, turned, best, least, best_other, least_other):
+        """For each of (n, FEATURE) float32 features its nearest among (FEATURE, m) `others`, or among the same features
+        of points whose normals are `turned`, whichever is nearer, in `best` (n,), and the squared distances of the
+        nearest and of the second nearest in `least` (n, 2); `best_other` (m,) and `least_other` (m, 2) the other way.
+        """
         _ = stamp
         m = others.shape[1]
-        squares = np.empty(m, np.float32)
+        straight, reverse = np.empty(m, np.float32), np.empty(m, np.float32)
+        least_other[:] = np.inf
+        best_other[:] = 0
         for i in range(own.shape[0]):
-            squares[:] = np.float32(0.0)
-            for b in range(FEATURE):
-                value = own[i, b]
+            straight[:] = np.float32(0.0)
+            reverse[:] = np.float32(0.0)
+            for b in range(BINS):
+                u, v, w = own[i, b], own[i, BINS + b], own[i, 2 * BINS + b]
                 for j in range(m):
-                    d = value - others[b, j]
-                    squares[j] += d * d
+                    d, e, f = u - others[b, j], v - others[BINS + b, j], w - others[2 * BINS + b, j]
+                    straight[j] += d * d + e * e + f * f
+                for j in range(m):
+                    d, e, f = u - turned[b, j], v - turned[BINS + b, j], w - turned[2 * BINS + b, j]
+                    reverse[j] += d * d + e * e + f * f
             nearest, second, place = np.float32(np.inf), np.float32(np.inf), 0
             for j in range(m):
-                if squares[j] < nearest:
-                    second, nearest, place = nearest, squares[j], j
-                elif squares[j] < second:
-                    second = squares[j]
+                square = min(straight[j], reverse[j])
+                if square < second:
+                    if square < nearest:
+                        second, nearest, place = nearest, square, j
+                    else:
+                        second = square
+                if square < least_other[j, 1]:
+                    if square < least_other[j, 0]:
+                        least_other[j, 1], least_other[j, 0], best_other[j] = least_other[j, 0], square, i
+                    else:
+                        least_other[j, 1] = square
             best[i], least[i, 0], least[i, 1] = place, nearest, second
 
-    return scatter_around, describe, two_nearest
+    return scatter_around, describe, nearest_features
 
 
-scatter_around, describe, two_nearest = _build(source_stamp())
+scatter_around, describe, nearest_features = _build(source_stamp())

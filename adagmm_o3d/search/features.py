@@ -27,12 +27,12 @@ from adagmm_o3d.mixtures.sampling import some_of
 THINNED, THINNED_FROM, POINTS_EACH, FEWEST = 1000, 20_000, 1.1, 40
 # Radii, in edges of the grid: of the neighbours that make a normal, which are no fewer than so many, and of those that
 # make a feature.
-NORMAL_RADIUS, NORMAL_POINTS, FEATURE_RADIUS = 1.5, 10, 4.0
+NORMAL_RADIUS, NORMAL_POINTS, FEATURE_RADIUS = 1.5, 10, 4.5
 # The correspondences that features agree on best.
 CORRESPONDENCES = 600
 # Two correspondences are compatible when their distances agree to so many edges and the cosines of their normals to
 # this.
-TOLERANCE, TURN = 1.0, 0.35
+TOLERANCE, TURN = 1.25, 0.35
 # So many correspondences, each with the others that it shares most support with, are made into poses.
 SEEDS, CONSENSUS = 60, 20
 # Fits of a pose to all correspondences that agree with it.

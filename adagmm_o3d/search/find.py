@@ -33,6 +33,8 @@ AMBIGUOUS, AMBIGUOUS_LIKELIHOOD = 0.1, 0.15
 # A given start is believed at once when the clouds explain each other there this much as well as the halves of one
 # cloud do; or, where noise hides the shape, when this share of the points has a partner.
 KNOWN_AGAIN, PLAUSIBLE = 0.5, 0.1
+# Where the first few proposals of features establish no pose, so many times as many are tried.
+MORE = 4
 # What is assumed of points without a partner where σ begins anew.
 FRESH_UNMATCHED = 0.5
 
@@ -95,9 +97,12 @@ def find(
     if given is not None and near and max(value for _, value in near) >= KNOWN_AGAIN * judge().reference:
         return _chosen(near, [], judge().sigma)
     rest = [] if first is None else [first[1]]
-    pool = _judged(judge(), [*rest, *_proposed(levels, feature_poses(levels.source, levels.target))])
+    proposals = _apart(feature_poses(levels.source, levels.target), levels.schedule.proposed.apart)
+    most = levels.schedule.proposed.kept
+    pool = _judged(judge(), [*rest, *_proposed(levels, proposals[:most])])
     if not pool or max(value for _, value in [*near, *pool]) < ESTABLISHED:
-        more = search_globally(levels) if first is None else search_around(levels, _others(levels, bases), first)
+        more = _proposed(levels, proposals[most : MORE * most])
+        more += search_globally(levels) if first is None else search_around(levels, _others(levels, bases), first)
         if viewpoints[0] is not None and viewpoints[1] is not None:
             more += _starts_in_place(levels, viewpoints[0], viewpoints[1])
         pool += _judged(judge(), more)
@@ -113,14 +118,19 @@ def _others(levels: Levels, bases: list[Array]) -> list[Start]:
     return [*starts.around(bases[0], levels.source.dimension), *(starts.narrow(base) for base in bases[1:])]
 
 
-def _proposed(levels: Levels, poses: list[Array]) -> list[End]:
-    """Where the first few clearly different poses lead."""
-    level = levels.schedule.proposed
+def _apart(poses: list[Array], distance: float) -> list[Array]:
+    """Those of the poses that are clearly different from all before them."""
     kept: list[Array] = []
     for pose in poses:
-        if len(kept) < level.kept and all(pose_distance(pose, other) > level.apart for other in kept):
+        if not kept or (pose_distance(np.array(kept), pose) > distance).all():
             kept.append(pose)
-    begin = [Start(pose, level.sigma or 0.0, 0.4, level.fastest, level.iterations, level.follow) for pose in kept]
+    return kept
+
+
+def _proposed(levels: Levels, poses: list[Array]) -> list[End]:
+    """Where proposed poses lead."""
+    level = levels.schedule.proposed
+    begin = [Start(pose, level.sigma or 0.0, 0.4, level.fastest, level.iterations, level.follow) for pose in poses]
     return levels.run(level, begin, 2)
 
 

@@ -64,7 +64,7 @@ class Schedule:
     grid_ranking: Level = Level((500, 500), False, 1e-3, 0.05, 1e-3, 0.65, 6, 0.0, 4e-3, 3, 0.05)
     grid_deciding: Level = Level((1000, 1000), False, SIGMA_FLOOR, 0.15, 4e-4, 0.5, 6, 1.0, None, 4, 0.0)
     proposed: Level = Level((1000, 1000), False, 1e-4, 0.05, 1e-4, 0.8, 15, 0.0, 6e-4, 6, 0.08)
-    near: Level = Level((500, 500), False, 1e-4, 0.05, 1e-4, 0.8, 30, 0.0, None, 3, 0.0)
+    near: Level = Level((500, 500), False, 1e-4, 0.05, 1e-4, 0.77, 20, 0.0, None, 3, 0.0)
     in_place: Level = Level((400, 400), False, 1e-3, 0.05, 1e-3, 0.65, 6, 0.0, 8e-3, 6, 0.1)
     small: int = 1100
     small_deciding: int = 500

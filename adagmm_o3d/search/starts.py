@@ -41,7 +41,7 @@ def turned(pose: Array) -> Start:
 def near(pose: Array) -> list[Start]:
     """For a pose that somebody has vouched for: σ from a few shares of a radius down, none of which can see far."""
     return [
-        Start(pose, sigma, unmatched=0.3, fastest=0.8, iterations=30, follow=0.0) for sigma in (0.001, 0.004, 0.015)
+        Start(pose, sigma, unmatched=0.3, fastest=0.77, iterations=20, follow=0.0) for sigma in (0.001, 0.004, 0.015)
     ]
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.grouping import Groups
 from adagmm_o3d.kernels.cpu.consistency import shared_support
-from adagmm_o3d.kernels.cpu.features import BINS, FEATURE, describe, scatter_around, nearest_features
+from adagmm_o3d.kernels.cpu.features import BINS, FEATURE, describe, nearest_features, scatter_around
 from adagmm_o3d.mixtures.merging import FLAGGED
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.sampling import some_of
@@ -27,7 +27,7 @@ from adagmm_o3d.mixtures.sampling import some_of
 THINNED, THINNED_FROM, POINTS_EACH, FEWEST = 1000, 20_000, 1.1, 40
 # Radii, in edges of the grid: of the neighbours that make a normal, which are no fewer than so many, and of those that
 # make a feature.
-NORMAL_RADIUS, NORMAL_POINTS, FEATURE_RADIUS = 1.5, 10, 4.5
+NORMAL_RADIUS, NORMAL_POINTS, FEATURE_RADIUS = 1.5, 10, 5.0
 # The correspondences that features agree on best.
 CORRESPONDENCES = 600
 # Two correspondences are compatible when their distances agree to so many edges and the cosines of their normals to

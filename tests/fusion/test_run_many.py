@@ -4,6 +4,7 @@ import json
 import shutil
 
 import pytest
+from rerun.chunk import RrdReader
 from shared_data import ROOT
 
 from adagmm_fusion.cli import main
@@ -34,7 +35,7 @@ def test_recordings_are_found_among_subfolders(folder):
 
 def test_each_recording_gets_its_own_report(folder, tmp_path, capsys):
     output = tmp_path / "out"
-    arguments = ["run", str(folder), "--output", str(output), "--workers", "2", "--no-rerun", "--no-clouds"]
+    arguments = ["run", str(folder), "--output", str(output), "--workers", "2", "--no-clouds"]
     main(arguments)
     shown = capsys.readouterr().out
     whole = json.loads((output / "whole" / "report.json").read_text())
@@ -42,6 +43,11 @@ def test_each_recording_gets_its_own_report(folder, tmp_path, capsys):
     broken = json.loads((output / "broken" / "report.json").read_text())
     assert [pair["status"] for pair in broken["pairs"]] == ["failed"] * 3
     assert "whole" in shown and "broken" in shown
+    joint = json.loads((output / "report.json").read_text())
+    broken = joint["recordings"][0]
+    assert (broken["name"], broken["summary"]["ok"], len(broken["failed"])) == ("broken", 0, 3)
+    assert "## broken" in (output / "report.md").read_text().splitlines()
+    assert len(RrdReader(output / "out.rrd").recordings()) == 3  # both, and the overview
 
 
 def test_options_for_one_recording_are_refused(folder, capsys):

@@ -193,7 +193,7 @@ def test_clouds_are_logged_once_in_their_own_frame(one_pair):
 def test_every_layer_has_a_color_for_every_point(one_pair):
     source, target = room_clouds()
     for entity, cloud, layers in (
-        ("source", source, ("WeightShare", "ResidualMm", "Overlap")),
+        ("source", source, ("WeightShare", "ResidualMm", "Overlap", "ColorSupport")),
         ("target", target, ("Dimmed",)),
     ):
         for layer in layers:

@@ -19,6 +19,7 @@ from adagmm_fusion.rerun_log import (
 )
 from adagmm_fusion.rerun_log.headless_viewer import headless_viewer
 from adagmm_fusion.rerun_log.picture import TOP_BAR_PX, main, show_page
+from adagmm_fusion.rerun_log.picture import screenshot as picture_of
 
 pytestmark = [needs_viewer, pytest.mark.slow]
 RESULT = "Result: cameras truth green, estimate orange, start blue"
@@ -141,11 +142,37 @@ def test_why_page(tmp_path):
         screenshot(viewer)
 
         def look() -> None:
-            weights = screenshot(viewer, "Who pulls: share of the pair weights")
+            weights = screenshot(viewer, "Who pulls: share of weight")
             residuals = screenshot(viewer, "How far off: residual")
             overlap = screenshot(viewer, "Who has a partner")
             for a, b in ((weights, residuals), (residuals, overlap), (weights, overlap)):
                 assert difference(a, b) > 0.02
+
+        eventually(look)
+        assert complaints(viewer) == []
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_both_themes_can_be_read_in_a_small_window(tmp_path, theme):
+    """Legends have bright labels on a dark ground in either theme, and the report has all its columns."""
+    path = tmp_path / "pair.rrd"
+    save(path, lambda rec: log_pair(rec, room_pair(), *room_clouds(), known_estimate()))
+    with headless_viewer(path, size=(1280, 720), theme=theme) as viewer:
+        report = screenshot(viewer, "Report").astype(int).mean(axis=2)
+        ground = np.median(report)
+        assert (ground > 200) == (theme == "light") and (ground < 60) == (theme == "dark")
+        written = np.abs(report - ground) > 60
+        columns = np.flatnonzero(written.any(axis=0))
+        assert columns[-1] < report.shape[1] - 8, "something is cut off on the right"
+        show_page(viewer, "Why")
+
+        def look() -> None:
+            ids = [view.view_id for view in viewer.get_state().views if view.name == "Legend" and view.visible]
+            assert len(ids) == 4
+            for view_id in ids:
+                legend = picture_of(viewer, view_id).astype(int)
+                labels = legend[int(0.55 * len(legend)) :].mean(axis=2)
+                assert np.median(labels) < 60 and np.mean(labels > 180) > 0.01
 
         eventually(look)
         assert complaints(viewer) == []

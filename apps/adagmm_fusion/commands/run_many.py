@@ -16,9 +16,11 @@ from rich.text import Text
 from adagmm_fusion.commands.run import run, verdict
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.formats import matching
+from adagmm_fusion.pairs.joint_report import RecordingSummary, joint_markdown, write_joint_report
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.processes.task_pool import TaskFailure, run_tasks
 from adagmm_fusion.processes.terminal import printable
+from adagmm_fusion.rerun_log.joint_recording import save_joint_recording
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ def recordings_in(path: str | Path) -> list[Path]:
 def run_many(recordings: list[Path], args: argparse.Namespace, settings: Settings) -> int:
     """Run every recording; returns 1 if one could not be run, else the `verdict` on the pairs of all.
 
-    Each has the files of a run of its own.
+    Each has the files of a run of its own; beside them are one report and one Rerun recording of all.
 
     Raises
     ------
@@ -72,12 +74,29 @@ def run_many(recordings: list[Path], args: argparse.Namespace, settings: Setting
         else:
             numbers = (_shown(result.rotation_deg, 2), _shown(result.translation_mm, 0))
             table.add_row(_text(name), str(result.ok), str(result.pairs), *numbers, _text(result.report))
+    summaries = [_summary(name, results[name]) for name in tasks]
+    paths = write_joint_report(output, output.name, summaries)
     if not args.quiet:
         Console().print(table)
+        print(printable(f"report: {paths[0]}, {paths[1]}"))
+    if not (args.no_rerun or args.connect or args.serve or args.url or args.stdout):
+        path = output / f"{output.name}.rrd"
+        logged = [output / name / f"{name}.rrd" for name in tasks]
+        save_joint_recording(
+            path, output.name, joint_markdown(output.name, summaries), [log for log in logged if log.is_file()]
+        )
+        if not args.quiet:
+            print(printable(f"Rerun recording of all: {path}"))
     done = [result for result in results.values() if isinstance(result, RecordingResult)]
     if len(done) < len(results):
         return 1
     return verdict(sum(result.ok for result in done), sum(result.pairs for result in done), strict=args.strict)
+
+
+def _summary(name: str, result: RecordingResult | TaskFailure) -> RecordingSummary:
+    if isinstance(result, TaskFailure):
+        return RecordingSummary(name, name, None, result.reason)
+    return RecordingSummary(name, name, json.loads(Path(result.report).read_text(encoding="utf-8")))
 
 
 def run_recording(task: RecordingTask) -> RecordingResult:

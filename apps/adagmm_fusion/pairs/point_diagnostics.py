@@ -37,6 +37,8 @@ class PointDiagnostics:
     overlap : (M,) PARTNER: the target has a point within `partner_distance`. HIDDEN: outside the target's image, or
         behind what it sees. CONTRADICTED: in front of what the target sees, which looks through it.
     partner : (M,) the index of the nearest target point, -1 without partner.    partner_distance : [m].
+    color_support : (M,) how much the colours speak for the point's partners [nats], NaN without; None where they did
+        not count.
     """
 
     weight_share: np.ndarray
@@ -44,6 +46,7 @@ class PointDiagnostics:
     overlap: np.ndarray
     partner: np.ndarray
     partner_distance: float
+    color_support: np.ndarray | None = None
 
 
 def diagnose(
@@ -77,6 +80,7 @@ def diagnose(
         overlap=found.overlap,
         partner=np.where(has_partner, found.nearest, -1),
         partner_distance=near,
+        color_support=estimate.color_support,
     )
 
 

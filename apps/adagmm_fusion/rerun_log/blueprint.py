@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import rerun.blueprint as rrb
 
 from adagmm_fusion.rerun_log import entities
-from adagmm_fusion.rerun_log.clouds import DIMMED, OVERLAP, RESIDUAL_MM, SHAPE, WEIGHT_SHARE
+from adagmm_fusion.rerun_log.clouds import COLOR_SUPPORT, DIMMED, OVERLAP, RESIDUAL_MM, SHAPE, WEIGHT_SHARE
 from adagmm_fusion.rerun_log.entities import INITIAL_SOURCE, RECORDED_SOURCE, SOURCE, TARGET, TRUE_SOURCE
 from adagmm_fusion.rerun_log.legends import LEGEND_SIZE
 from adagmm_fusion.rerun_log.views import Eye, bars, curve, image, legend, scene
@@ -95,9 +95,10 @@ def error_curve(name: str, metric: str, *, with_iterations: bool = True, legend:
 
 def _why_page() -> rrb.Vertical:
     layers = (
-        ("Who pulls: share of the pair weights", WEIGHT_SHARE, entities.WEIGHT_LEGEND),
+        ("Who pulls: share of weight", WEIGHT_SHARE, entities.WEIGHT_LEGEND),
         ("How far off: residual", RESIDUAL_MM, entities.RESIDUAL_LEGEND),
         ("Who has a partner", OVERLAP, entities.OVERLAP_LEGEND),
+        ("What colour says", COLOR_SUPPORT, entities.COLOR_LEGEND),
     )
     columns = [
         rrb.Vertical(

@@ -24,6 +24,7 @@ SHAPE = "Shape"
 WEIGHT_SHARE = "WeightShare"
 RESIDUAL_MM = "ResidualMm"
 OVERLAP = "Overlap"
+COLOR_SUPPORT = "ColorSupport"
 DIMMED = "Dimmed"
 
 

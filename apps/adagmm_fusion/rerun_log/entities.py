@@ -51,6 +51,7 @@ RESIDUAL_HISTOGRAM = f"{DIAGNOSTICS}/residual_histogram"
 RESIDUAL_LEGEND = f"{DIAGNOSTICS}/residual_legend"
 WEIGHT_LEGEND = f"{DIAGNOSTICS}/weight_legend"
 OVERLAP_LEGEND = f"{DIAGNOSTICS}/overlap_legend"
+COLOR_LEGEND = f"{DIAGNOSTICS}/color_legend"
 
 FRAME = "frame"
 ITERATION = "iteration"

@@ -37,7 +37,8 @@ the plots is where you are.
 variance. Features in the images tell how many pixels the end is off at them.
 
 **Why.** *Who pulls*: dark points count for nothing, bright ones decide. *How far off*: green to red, grey
-without partner. *Who has a partner*: green has one, grey is out of sight, red is contradicted. Red areas that
+without partner. *Who has a partner*: green has one, grey is out of sight, red is contradicted.
+*What colour says*: green for a point's partners, red against them, grey where colours do not count. Red areas that
 hang together mean a wrong pose; single red points are noise. If the pose is right, the checkerboard's edges
 meet.
 """

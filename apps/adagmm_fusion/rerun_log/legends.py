@@ -6,7 +6,7 @@ import rerun as rr
 
 from adagmm_fusion.pairs.point_diagnostics import CONTRADICTED, HIDDEN, PARTNER, PointDiagnostics
 from adagmm_fusion.rerun_log import entities
-from adagmm_fusion.rerun_log.clouds import OVERLAP, RESIDUAL_MM, WEIGHT_SHARE
+from adagmm_fusion.rerun_log.clouds import COLOR_SUPPORT, OVERLAP, RESIDUAL_MM, WEIGHT_SHARE
 from adagmm_fusion.rerun_log.colors import BACKGROUND
 from adagmm_fusion.rerun_log.when import When
 
@@ -15,7 +15,9 @@ WEIGHT_RAMP = np.array(((38, 30, 70), (120, 40, 130), (220, 80, 90), (255, 180, 
 RESIDUAL_RAMP = np.array(((30, 150, 90), (150, 200, 70), (250, 220, 80), (240, 130, 50), (215, 40, 40)))
 OVERLAP_COLORS = {PARTNER: (60, 190, 110), HIDDEN: NO_PARTNER_COLOR, CONTRADICTED: (225, 50, 60)}
 OVERLAP_NAMES = {PARTNER: "partner", HIDDEN: "out of sight", CONTRADICTED: "contradicted"}
+COLOR_RAMP = np.array(((225, 50, 60), (200, 150, 130), (210, 210, 200), (120, 190, 150), (60, 190, 110)))
 MOST_WEIGHT_SHOWN = 2.0
+MOST_SUPPORT_SHOWN = 2.0  # nats, for and against
 RESIDUAL_SHARE_OF_PARTNER_DISTANCE = 0.5
 # A legend is an image with its labels in it: text that the viewer draws itself has colours that its themes decide on.
 LEGEND_SIZE = (72, 840)
@@ -46,17 +48,24 @@ def overlap_colors(overlap: np.ndarray) -> np.ndarray:
     return table[overlap]
 
 
+def support_colors(support: np.ndarray | None, n: int) -> np.ndarray:
+    """(n, 3) uint8: red where the colours speak against a point's partners, green where for them, grey without any."""
+    values = np.full(n, np.nan) if support is None else np.asarray(support, dtype=np.float64)
+    return ramp_colors(np.maximum(values + MOST_SUPPORT_SHOWN, 0.0), 2.0 * MOST_SUPPORT_SHOWN, COLOR_RAMP)
+
+
 def why_layers(diagnostics: PointDiagnostics | None, n: int) -> dict[str, np.ndarray]:
     """The source's colours that say why, by layer, (n, 3) uint8 each; without diagnostics no point has a partner."""
     if diagnostics is None:
         return {
             layer: np.tile(np.asarray(NO_PARTNER_COLOR, np.uint8), (n, 1))
-            for layer in (WEIGHT_SHARE, RESIDUAL_MM, OVERLAP)
+            for layer in (WEIGHT_SHARE, RESIDUAL_MM, OVERLAP, COLOR_SUPPORT)
         }
     return {
         WEIGHT_SHARE: ramp_colors(diagnostics.weight_share, MOST_WEIGHT_SHOWN, WEIGHT_RAMP),
         RESIDUAL_MM: ramp_colors(diagnostics.residual_mm, largest_residual_mm(diagnostics), RESIDUAL_RAMP),
         OVERLAP: overlap_colors(diagnostics.overlap),
+        COLOR_SUPPORT: support_colors(diagnostics.color_support, n),
     }
 
 
@@ -78,10 +87,12 @@ def log_legends(rec: rr.RecordingStream, diagnostics: PointDiagnostics, when: Wh
     states = list(OVERLAP_COLORS)
     shares = [f"{OVERLAP_NAMES[s]} {np.mean(diagnostics.overlap == s):.0%}" for s in states]
     partners = legend(np.array([OVERLAP_COLORS[s] for s in states]), shares, blocks=True)
+    colors = legend(COLOR_RAMP, ["against", "nothing", "for"])
     for entity, image in (
         (entities.WEIGHT_LEGEND, weights),
         (entities.RESIDUAL_LEGEND, residuals),
         (entities.OVERLAP_LEGEND, partners),
+        (entities.COLOR_LEGEND, colors),
     ):
         when.log(rec, entity, rr.Image(image))
 

@@ -227,6 +227,8 @@ def _log_clouds(
             "residual_mm": diagnostics.residual_mm,
             "partner_in_target": diagnostics.partner,
         }
+        if diagnostics.color_support is not None:
+            values["color_support_nats"] = diagnostics.color_support
     log_points(rec, SOURCE.points, np.asarray(source.points), own_colors(source), when, why, values)
     if diagnostics is not None:
         log_legends(rec, diagnostics, when)

@@ -83,10 +83,11 @@ class ColourEstimate:
             lying = min(max(1.0 - total[TRUE] / total[DENSITY], LEAST_LYING), MOST_LYING)
         mean_s, mean_t, ss, tt, st = total[FIRST:].reshape(3, PER_COORDINATE).T / total[TRUE]
         var_s, var_t, cov = ss - mean_s**2, tt - mean_t**2, st - mean_s * mean_t
-        gain = np.array([_gain(*moments) for moments in zip(var_s, var_t, cov, strict=True)])
-        variances = gain**2 * var_s - 2.0 * gain * cov + var_t
+        gain, offset = correction((mean_s, mean_t), (var_s, var_t), cov)
+        residual = offset + gain * mean_s - mean_t
+        variances = residual**2 + gain**2 * var_s - 2.0 * gain * cov + var_t
         deviations = np.sqrt(np.maximum(variances, LEAST_DEVIATION**2))
-        return self._model(deviations, gain, mean_t - gain * mean_s, lying)
+        return self._model(deviations, gain, offset, lying)
 
     def _model(self, deviations: Array, gain: Array, offset: Array, lying: float) -> ColourModel:
         own, other = self._unrelated
@@ -119,6 +120,12 @@ class ColourEstimate:
             moments,
         )
         return moments
+
+
+def correction(means: tuple[Array, Array], variances: tuple[Array, Array], covariances: Array) -> tuple[Array, Array]:
+    """(3,) gain and offset that bring colours of the source's sensor to those of the target's, by their moments."""
+    gain = np.array([_gain(*moments) for moments in zip(*variances, covariances, strict=True)])
+    return gain, means[1] - gain * means[0]
 
 
 def _gain(var_s: float, var_t: float, cov: float) -> float:

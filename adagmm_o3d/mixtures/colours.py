@@ -52,9 +52,13 @@ class ColourModel:
 
     def hues(self, colours: Array, *, of_source: bool) -> NDArray[np.float32]:
         """(3, n) of (n, 3) colours, in units in which the weight of a pair halves where they differ by one."""
-        scale = math.sqrt(LOG2_SCALE) / self.deviations
+        in_powers_of_two = math.sqrt(2.0 * LOG2_SCALE)
+        return np.ascontiguousarray((in_powers_of_two * self.scaled(colours, of_source=of_source)).T, np.float32)
+
+    def scaled(self, colours: Array, *, of_source: bool) -> Array:
+        """(n, 3) of (n, 3) colours, of which the squared difference of two is the exponent of their density."""
         seen = self.gain * colours + self.offset if of_source else colours
-        return np.ascontiguousarray((seen * scale).T, np.float32)
+        return np.ascontiguousarray(seen * (math.sqrt(0.5) / self.deviations))
 
 
 def checked_colors(

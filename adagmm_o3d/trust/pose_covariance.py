@@ -155,12 +155,14 @@ class ScoreMoments:
 def score_moments(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -> ScoreMoments:
     """The scores of the points of both clouds at a pose."""
     uniform = uniform_density(fit.unmatched, fit.sigma, source.dimension)
-    sums = pairs.posterior_sums(fit.pose, fit.sigma, uniform, fit.mutuality)
+    sums = pairs.posterior_sums(fit.pose, fit.sigma, uniform, fit.mutuality, fit.colour)
     source_weights, target_weights = source.weights / source.weights.sum(), target.weights / target.weights.sum()
     # 1 / (density + uniform), for the source points from the probability to have a partner
     source_rest = (1.0 - sums.row_weights) / uniform
     target_rest = 1.0 / (sums.column_densities + uniform)
-    make_side, axis = (_ResidentSide, 0) if source.on_device else (_side, int(np.argmax(np.ptp(target.points, axis=0))))
+    # Colours are looked at on the host.
+    resident = source.on_device and fit.colour is None
+    make_side, axis = (_ResidentSide, 0) if resident else (_side, int(np.argmax(np.ptp(target.points, axis=0))))
     moved = make_side(source, fit, fit.pose, source_weights * source_rest ** (1.0 - fit.mutuality), axis)
     still = make_side(target, fit, np.eye(4), target_weights * target_rest**fit.mutuality, axis)
     curvature, by_points, by_blocks = np.zeros((3, 6, 6))
@@ -175,7 +177,7 @@ def score_moments(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -> S
         if isinstance(other, _ResidentSide):
             rows = other.score_sums(part, shares, own is moved, pairs)
         else:
-            rows = _score_sums(part, other, shares, own is moved, source.dimension == 2, axis)
+            rows = _score_sums(part, other, shares, own is moved, fit, source.dimension == 2, axis)
         score = rows[:, SCORE:SENSITIVITY]
         change = rows[:, SENSITIVITY:CURVATURE] * rest[part.index, None]
         curvature += growth * exponent * score.T @ change
@@ -235,10 +237,16 @@ class _Side:
     variances: Array
     weights: Array
     index: NDArray[np.intp]
+    colours: Array | None
 
     def take(self, index: NDArray[np.intp]) -> _Side:
         return _Side(
-            self.points[index], self.covariances[index], self.variances[index], self.weights[index], self.index[index]
+            self.points[index],
+            self.covariances[index],
+            self.variances[index],
+            self.weights[index],
+            self.index[index],
+            None if self.colours is None else self.colours[index],
         )
 
     def arrays(self) -> tuple[Array, ...]:
@@ -258,6 +266,7 @@ def _side(mixture: Mixture, fit: Fit, pose: Array, weights: Array, axis: int) ->
         fit.sigma * mixture.largest_variances[index],
         weights[index],
         index,
+        None if mixture.colours is None else mixture.colours[index],
     )
 
 
@@ -273,13 +282,24 @@ def _block_sums(points: Array, scores: Array) -> Array:
     return np.stack([np.bincount(block.ravel(), weights=score) for score in scores.T], axis=1)
 
 
-def _score_sums(own: _Side, other: _Side, shares: Array, own_is_source: bool, planar: bool, axis: int) -> Array:
+def _score_sums(
+    own: _Side, other: _Side, shares: Array, own_is_source: bool, fit: Fit, planar: bool, axis: int
+) -> Array:
     """(n, POINT_SUMS) of the points of `own`."""
     reach = np.sqrt(CUT * (own.variances + other.variances.max()))
     sorted_axis = np.ascontiguousarray(other.points[:, axis])
     windows = np.stack([np.searchsorted(sorted_axis, own.points[:, axis] + side * reach) for side in (-1.0, 1.0)])
     sums = np.empty((len(own.index), POINT_SUMS))
-    score_sums(own.arrays(), other.arrays(), shares[other.index], windows, own_is_source, planar, CUT, sums)
+    hues = None
+    if fit.colour is not None:
+        assert own.colours is not None and other.colours is not None
+        hues = (
+            fit.colour.scaled(own.colours, of_source=own_is_source),
+            fit.colour.scaled(other.colours, of_source=not own_is_source),
+            fit.colour.floor,
+            fit.colour.expected,
+        )
+    score_sums(own.arrays(), other.arrays(), shares[other.index], windows, own_is_source, planar, CUT, sums, hues)
     return sums
 
 

@@ -22,6 +22,7 @@ COMMANDS = {
     "pairs": ("pairs", {}, "clouds as people bring them: found, and known to be wrong, beside others"),
     "speed": ("speed", {}, "how fast, beside other libraries, and against recorded ratios"),
     "ablation": ("ablation", {}, "what each choice of the default is worth: one undone at a time"),
+    "color": ("color", {}, "what colours are worth, beside Open3D's coloured ICP from the same starts"),
     "covariance": ("covariance", {}, "whether true errors are as large as the pose covariance says"),
     "gpu": ("gpu", {}, "the CUDA kernels on this machine's card: right, and how fast"),
     "replay": ("replay", {}, "one trial again, alone, printed and shown in Rerun"),

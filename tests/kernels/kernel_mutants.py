@@ -280,6 +280,8 @@ CPU = {
         (" + a[UNMATCHED_SHARE] * b[UNMATCHED_SHARE]", ""),
     ],
     "cpu/scores.py": [
+        ("density = likeness * height", "density = height"),
+        ("h, o = hues[0][i], hues[1][k]", "h, o = hues[0][i], hues[1][0]"),
         ("c0 * scale, c1 * scale, c2 * scale", "c0 * scale, c1, c2 * scale"),
         ("math.exp(-0.5 * q)", "math.exp(-q)"),
         ("density = height * math", "density = scale * math"),

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from mixtures import random_points_and_covariances
+import reference
+from mixtures import random_colours, random_points_and_covariances
 
 from adagmm_o3d.em.m_step import FREE
 from adagmm_o3d.kernels.cpu.scores import score_sums
@@ -71,13 +72,13 @@ class Pairs:
             (weights[..., None, None] * (of_score - of_lever_arms)).sum(axis=axis),
         )
 
-    def sums(self, own_is_source, windows=None, cut=EVERYTHING):
+    def sums(self, own_is_source, windows=None, cut=EVERYTHING, hues=None):
         own, other = (self.source, self.target) if own_is_source else (self.target, self.source)
         sums = np.full((len(own.points), POINT_SUMS), np.nan)
         if windows is None:
             windows = np.repeat([[0], [len(other.points)]], len(own.points), axis=1)
         args = (own.as_argument(), other.as_argument(), other.shares, windows)
-        score_sums(*args, own_is_source, self.dimension == 2, cut, sums)
+        score_sums(*args, own_is_source, self.dimension == 2, cut, sums, hues)
         return sums
 
     def check(self, sums, own_is_source, counts):
@@ -104,6 +105,16 @@ dimensions = pytest.mark.parametrize("dimension", [2, 3])
 def test_sums_are_those_of_the_pairs(dimension, own_is_source):
     p = Pairs(dimension)
     p.check(p.sums(own_is_source), own_is_source, np.ones((5, 7)))
+
+
+@dimensions
+@sides
+def test_a_pair_counts_as_far_as_its_colours_agree(dimension, own_is_source):
+    p = Pairs(dimension)
+    colours, model = random_colours(5, 7)
+    moved, still = model.scaled(colours[0], of_source=True), model.scaled(colours[1], of_source=False)
+    hues = *((moved, still) if own_is_source else (still, moved)), model.floor, model.expected
+    p.check(p.sums(own_is_source, hues=hues), own_is_source, reference.colour_ratios(*colours, model))
 
 
 @dimensions

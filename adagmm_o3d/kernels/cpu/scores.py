@@ -14,13 +14,15 @@ from adagmm_o3d.kernels.layout import CURVATURE, SCORE, SENSITIVITY
 
 dot, cross, symmetric_product = formulas.dot, formulas.cross, formulas.symmetric_product
 convolved_full = formulas.convolved_full
+capped_distance = formulas.capped_distance
 
 
 @njit(**FLAGS)
-def add_pair(y, x, a, b, planar, cut, weight, share, curved, inverse, slope, j, change, row):
+def add_pair(y, x, a, b, planar, cut, weight, likeness, share, curved, inverse, slope, j, change, row):
     """Add one pair to `row` (POINT_SUMS); `a`, `b` packed covariances, the rest work space.
 
-    weight : of the pair, per unit of c.   share : of the other point in the density at this one.   curved : whether
+    weight : of the pair, per unit of c.   likeness : what its colours make of c, 1 without any.   share : of the other
+    point in the density at this one.   curved : whether
     CURVATURE is wanted, which is the same sum for both clouds.
     """
     dx, dy, dz = y[0] - x[0], y[1] - x[1], y[2] - x[2]
@@ -30,7 +32,7 @@ def add_pair(y, x, a, b, planar, cut, weight, share, curved, inverse, slope, j, 
     )
     if q > cut:
         return
-    density = height * math.exp(-0.5 * q)
+    density = likeness * height * math.exp(-0.5 * q)
     vx, vy, vz = vx * scale, vy * scale, vz * scale
     c0, c1, c2, c3, c4, c5 = c0 * scale, c1 * scale, c2 * scale, c3 * scale, c4 * scale, c5 * scale
     w = weight * density
@@ -86,7 +88,7 @@ def _build(stamp):
     """The kernel that is called from Python; `stamp` keeps its cache fresh."""
 
     @njit(**KERNEL_FLAGS)
-    def score_sums(own, other, shares, windows, own_is_source, planar, cut, sums):
+    def score_sums(own, other, shares, windows, own_is_source, planar, cut, sums, hues=None):
         """Fill `sums` (K, POINT_SUMS) for the K points of `own` with all points of `other`; for target points only the
         scores and sensitivities.
 
@@ -95,6 +97,8 @@ def _build(stamp):
         shares : (n,) what a point of `other` adds to a density, per unit of c.
         windows : (2, K) the first point of `other` to look at and the one past the last.
         cut : largest squared Mahalanobis distance of a pair.
+        hues : colours of both (K, 3) and (n, 3) of which the squared difference is an exponent, where it is capped, and
+        the mean of the exponential over unrelated pairs, see `mixtures.colours`; None where they do not count.
         """
         _ = stamp
         points, covariances, variances, weights = own
@@ -111,15 +115,19 @@ def _build(stamp):
                 if dot(dx, dy, dz, dx, dy, dz) > cut * (variances[i] + other_variances[k]):
                     continue
                 weight = weights[i] * other_weights[k]
+                likeness = 1.0
+                if hues is not None:
+                    h, o = hues[0][i], hues[1][k]
+                    likeness = math.exp(-capped_distance(h[0], h[1], h[2], o[0], o[1], o[2], hues[2])) / hues[3]
                 if own_is_source:
                     add_pair(
                         p, x, other_covariances[k], covariances[i],
-                        planar, cut, weight, shares[k], True, inverse, slope, j, change, row,
+                        planar, cut, weight, likeness, shares[k], True, inverse, slope, j, change, row,
                     )  # fmt: skip
                 else:
                     add_pair(
                         x, p, covariances[i], other_covariances[k],
-                        planar, cut, weight, shares[k], False, inverse, slope, j, change, row,
+                        planar, cut, weight, likeness, shares[k], False, inverse, slope, j, change, row,
                     )  # fmt: skip
 
     return score_sums

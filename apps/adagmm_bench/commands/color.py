@@ -1,0 +1,81 @@
+"""`color`: what colours are worth, choice by choice and beside Open3D's coloured ICP, from the same starts."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+
+import numpy as np
+
+from adagmm_bench.color_trial import NAMES, STARTS, meaning, run_color_trial, version_of
+from adagmm_bench.commands.options import (
+    add_data,
+    add_output,
+    add_placement,
+    data_folder,
+    open_journal,
+    placement,
+    words,
+)
+from adagmm_bench.report import command_line, machine_note, markdown_table, print_table, write_json
+from adagmm_bench.runner import run_jobs
+from adagmm_bench.scenes import find_frame_pairs
+from adagmm_bench.trial import TrialJob
+from adagmm_fusion.files.atomic_file import write_text
+from adagmm_fusion.pairs.settings import Settings
+from adagmm_fusion.processes.terminal import printable, say
+from adagmm_o3d.errors import InputError
+
+COLUMNS = ["start, method", "found", "median of all: rotation [°]", "translation [mm]", "CPU s, median"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--methods", type=words, default=NAMES, help="names with commas (default: all)")
+    add_data(parser)
+    add_placement(parser)
+    add_output(parser, "color")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    pairs, unusable = find_frame_pairs(data_folder(arguments))
+    for line in unusable:
+        say(printable(f"left out {line}"))
+    names = arguments.methods
+    if unknown := [name for name in names if name not in NAMES]:
+        raise InputError(f"methods: unknown {', '.join(unknown)}; known are {', '.join(NAMES)}")
+    jobs = [TrialJob(pair, name, start) for pair in pairs for start in STARTS for name in names]
+    with open_journal(arguments) as journal:
+        records = run_jobs(jobs, journal, placement(arguments), run=run_color_trial, version_of=version_of)
+    groups = dict.fromkeys(record["problem"]["recording"] for record in records)
+    tables = {"all": records} | {name: [r for r in records if r["problem"]["recording"] == name] for name in groups}
+    limits = Settings()
+    text = (
+        f"# What colours are worth\n\n`{command_line()}`\n\n{machine_note()}. The truth, turned about the target's "
+        f"centroid and shifted as said, is the start. Found: within {limits.max_rotation_error_deg:g}° and "
+        f"{limits.max_translation_error_mm:g} mm.\n\n"
+    )
+    for title, own in tables.items():
+        rows = color_rows(own, names)
+        text += f"## {title}\n\n{markdown_table(COLUMNS, rows)}\n"
+        print_table(title, COLUMNS, rows)
+    text += "## Methods\n\n" + "".join(f"- `{name}`: {meaning(name)}\n" for name in names)
+    write_text(arguments.output / "report.md", text)
+    content = {"command": command_line(), "machine": machine_note(), "trials": records}
+    write_json(arguments.output / "report.json", content)
+    print(printable(f"report and every trial: {arguments.output}"))
+    return 0
+
+
+def color_rows(records: list[dict], names: Sequence[str]) -> list[list[str]]:
+    """A row for each start and method."""
+    limits, rows = Settings(), []
+    for start in STARTS:
+        for name in names:
+            own = [record for record in records if (record["start"], record["method"]) == (start, name)]
+            degrees = np.array([record["rotation_error_deg"] for record in own])
+            millimetres = 1000.0 * np.array([record["translation_error"] for record in own])
+            found = (degrees <= limits.max_rotation_error_deg) & (millimetres <= limits.max_translation_error_mm)
+            seconds = np.median([record["cpu_seconds"] for record in own])
+            medians = f"{np.median(degrees):.2f}", f"{np.median(millimetres):.1f}", f"{seconds:.2f}"
+            rows.append([f"{start}, {name}", f"{found.sum()}/{len(own)}", *medians])
+    return rows

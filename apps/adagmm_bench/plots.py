@@ -14,6 +14,10 @@ from adagmm_fusion.files.atomic_file import replacing
 COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#0072B2", "#CC79A7", "#8C8C8C")
 MARKERS = ("o", "s", "^", "v", "D", "P", "X", "*")
 MAX_LINES = len(COLOURS)
+# A line whose median is below this share of the highest mean lies on zero for the eye.
+ON_ZERO = 0.05
+# On a logarithmic axis: where errors of zero are put, and how far below its mean a bar ends at most.
+LEAST_SHOWN, LEAST_OF_MEAN = 1e-4, 0.1
 ERROR_LABEL = r"rotation error $\|I - R_{gt} R^{-1}\|_F$"
 AXES = {
     "rotation": ("initial rotation [deg]", 1.0),
@@ -26,7 +30,8 @@ AXES = {
 def plot_sweep(path: Path, title: str, sweep: str, lines: Mapping[str, Mapping[float, tuple[float, float]]]) -> None:
     """Mean rotation error with its standard deviation per setting; `lines` maps labels to setting -> (mean, std).
 
-    Lines stand a little beside each other so that their bars can be told apart.
+    Lines stand a little beside each other so that their bars can be told apart. The axis is logarithmic where the first
+    one, ours, would lie on zero on another.
     """
     label, factor = AXES[sweep]
     figure = Figure(figsize=(9.0, 5.0), layout="constrained")
@@ -34,15 +39,18 @@ def plot_sweep(path: Path, title: str, sweep: str, lines: Mapping[str, Mapping[f
     settings = sorted({setting for line in lines.values() for setting in line})
     step = factor * float(np.min(np.diff(settings))) if len(settings) > 1 else 1.0
     highest = 0.0
+    ours = np.array(list(next(iter(lines.values())).values()))[:, 0]
+    most = max(mean for line in lines.values() for mean, _ in line.values())
+    logarithmic = bool(np.median(ours) < ON_ZERO * most)
     for i, (name, line) in enumerate(lines.items()):
         x = factor * np.array(list(line)) + step * 0.07 * (i - (len(lines) - 1) / 2)
         mean, std = np.array(list(line.values())).T
         highest = max(highest, float((mean + std).max()))
         axes.errorbar(
             x,
-            mean,
-            # Errors are not negative: the bar ends at zero.
-            yerr=[np.minimum(std, mean), std],
+            np.maximum(mean, LEAST_SHOWN) if logarithmic else mean,
+            # Errors are not negative: the bar ends at zero, which a logarithmic axis does not have.
+            yerr=[np.minimum(std, (1.0 - LEAST_OF_MEAN if logarithmic else 1.0) * mean), std],
             label=name,
             color=COLOURS[i % MAX_LINES],
             marker=MARKERS[i % MAX_LINES],
@@ -54,7 +62,10 @@ def plot_sweep(path: Path, title: str, sweep: str, lines: Mapping[str, Mapping[f
         )
     axes.set_xlabel(label)
     axes.set_ylabel(ERROR_LABEL)
-    axes.set_ylim(0.0, max(1.05 * highest, 0.02))
+    if logarithmic:
+        axes.set_yscale("log")
+    else:
+        axes.set_ylim(0.0, max(1.05 * highest, 0.02))
     axes.set_title(title)
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8, ncols=2, framealpha=0.85)
@@ -92,5 +103,7 @@ def plot_pair_errors(
 
 
 def _save(figure: Figure, path: Path) -> None:
-    with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=130)
+    """Write the figure as it is named, and as .svg beside it."""
+    for beside in (path, path.with_suffix(".svg")):
+        with replacing(beside) as temporary:
+            figure.savefig(temporary, dpi=130, format=beside.suffix[1:])

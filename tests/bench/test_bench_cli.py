@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from shared_data import shared_data
 
+from adagmm_bench import plots
 from adagmm_bench.cli import main
 from adagmm_bench.commands import ablation, covariance
 from adagmm_bench.commands.kinect import AUTHORS
@@ -72,7 +73,17 @@ def test_plots_are_written_whole(tmp_path):
     plot_sweep(tmp_path / "a.png", "t", "noise", {"one": {0.01: (0.1, 0.05)}, "two": {0.01: (0.2, 0.3)}})
     plot_pair_errors(tmp_path / "b.png", "t", ["x", "y"], [0.2, 0.01], ours=["x"], published=0.12)
     assert all((tmp_path / name).read_bytes().startswith(PNG) for name in ("a.png", "b.png"))
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "b.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "a.svg", "b.png", "b.svg"]
+    assert all("<svg" in (tmp_path / name).read_text(encoding="utf-8") for name in ("a.svg", "b.svg"))
+
+
+@pytest.mark.parametrize(("ours", "scale"), [(0.001, "log"), (0.0, "log"), (0.3, "linear")])
+def test_the_axis_is_logarithmic_where_ours_would_lie_on_zero(tmp_path, monkeypatch, ours, scale):
+    shown = []
+    monkeypatch.setattr(plots, "_save", lambda figure, path: shown.append(figure.axes[0].get_yscale()))
+    lines = {"ours": {0.01: (ours, 0.5 * ours), 0.02: (ours, ours)}, "theirs": {0.01: (1.0, 0.2), 0.02: (1.2, 1.5)}}
+    plot_sweep(tmp_path / "a.png", "t", "noise", lines)
+    assert shown == [scale]
 
 
 def test_sim2d_writes_report_figures_and_every_trial(tmp_path, capsys):
@@ -84,6 +95,7 @@ def test_sim2d_writes_report_figures_and_every_trial(tmp_path, capsys):
     assert main(arguments) == 0
     assert sorted(path.name for path in output.iterdir()) == [
         "figure_07_noise.png",
+        "figure_07_noise.svg",
         "report.json",
         "report.md",
         "results.jsonl",

@@ -85,7 +85,8 @@ class TransformationEstimationForAdaptiveGMM:
         ones, where it costs accuracy under heavy noise.
     color : also look at the colours, or intensities, of both clouds, which then have to have some: points whose colours
         are alike are likelier to be the same place. It helps where the shape leaves the pose open.
-    relaxation : lengthens every step, 1 <= relaxation < 2; above 1 it saves iterations.
+    relaxation : lengthens every step of the last level, 1 <= relaxation < 2. Above 1 it saves iterations with the
+        paper's weights; with "posterior", whose steps are extrapolated anyway, hardly any.
     gravity : (3,) its direction in both clouds, of any length, up or down, e.g. (0, 0, 1) for scans that are level;
         then only the turn about it and the translation are estimated. Clouds whose directions differ are to be turned
         first, and `init` must keep it to half a degree. None: all turns.

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.grouping import Groups
 from adagmm_o3d.kernels.cpu.convolved_pass import pack
+from adagmm_o3d.kernels.cpu.em import ScaledSource, ScaledTarget
 from adagmm_o3d.kernels.cpu.farthest_points import farthest_points
 from adagmm_o3d.kernels.cpu.tiles import make_boxes, maxima, morton_order
 from adagmm_o3d.kernels.formulas import LOG2_SCALE
@@ -62,21 +63,18 @@ class MergedMixture:
             None if self.colours is None else self.colours[index],
         )
 
-    def as_source(self, isotropic: bool) -> tuple[Any, ...]:
-        """The components as `kernels.cpu.em` wants a source; `isotropic` says whether those of both sides are."""
-        points, matrices, spreads, *rest = self._source
-        rows = 1 if isotropic else 6
-        return points, matrices[:rows], spreads[:rows], *rest
+    def as_source(self, isotropic: bool) -> ScaledSource:
+        """The components as a source; `isotropic` says whether those of both sides are."""
+        return self._isotropic_source if isotropic else self._source
 
-    def as_target(self, isotropic: bool, colour: ColourModel | None = None) -> tuple[Any, ...]:
-        """The components as `kernels.cpu.em` wants a target; `isotropic` says whether those of both sides are."""
-        packed, matrices, spreads, *rest = self._target
-        rows = 1 if isotropic else 6
-        parts = [packed[: MATRIX + rows]]
-        if colour is not None:
-            hues = self.hues(colour, of_source=False)
-            parts.append(np.pad(hues, ((0, 0), (0, packed.shape[1] - hues.shape[1]))))
-        return np.ascontiguousarray(np.concatenate(parts)), matrices[:rows], spreads[:rows], *rest
+    def as_target(self, isotropic: bool, colour: ColourModel | None = None) -> ScaledTarget:
+        """The components as a target; `isotropic` says whether those of both sides are."""
+        target = self._isotropic_target if isotropic else self._target
+        if colour is None:
+            return target
+        hues = self.hues(colour, of_source=False)
+        padded = np.pad(hues, ((0, 0), (0, target.packed.shape[1] - hues.shape[1])))
+        return target._replace(packed=np.concatenate([target.packed, padded]))
 
     def hues(self, colour: ColourModel, *, of_source: bool) -> NDArray[np.float32]:
         """(3, n) colours in the order of the components in space, see `colours.ColourModel.hues`."""
@@ -84,31 +82,43 @@ class MergedMixture:
         return colour.hues(self.colours[self._ordered[0]], of_source=of_source)
 
     @cached_property
-    def _source(self) -> tuple[Any, ...]:
+    def _source(self) -> ScaledSource:
         order, points, matrices, spreads, reach = self._ordered
         weights = self.weights[order]
-        return points, matrices, spreads, weights, weights.astype(np.float32), reach[:1], reach[1:]
+        return ScaledSource(points, matrices, spreads, weights, weights.astype(np.float32), reach[:1], reach[1:])
 
     @cached_property
-    def _target(self) -> tuple[Any, ...]:
+    def _target(self) -> ScaledTarget:
         order, points, matrices, spreads, reach = self._ordered
         boxes = make_boxes(points)
         of_tiles, of_groups = maxima(reach)
-        return (
-            pack(points, self.weights[order], len(matrices)),
-            matrices,
-            spreads,
-            reach[:1],
-            reach[1:],
-            of_tiles[1:],
-            of_groups[1:],
-            boxes.lo,
-            boxes.hi,
-            of_tiles[:1],
-            boxes.group_lo,
-            boxes.group_hi,
-            of_groups[:1],
+        return ScaledTarget(
+            packed=pack(points, self.weights[order], len(matrices)),
+            covariances=matrices,
+            spreads=spreads,
+            reach=reach[:1],
+            reach_spreads=reach[1:],
+            tile_spreads=of_tiles[1:],
+            group_spreads=of_groups[1:],
+            tile_lo=boxes.lo,
+            tile_hi=boxes.hi,
+            tile_variance=of_tiles[:1],
+            group_lo=boxes.group_lo,
+            group_hi=boxes.group_hi,
+            group_variance=of_groups[:1],
         )
+
+    @cached_property
+    def _isotropic_source(self) -> ScaledSource:
+        """The same with the one entry of a matrix that multiples of the identity need."""
+        source = self._source
+        return source._replace(covariances=source.covariances[:1], spreads=source.spreads[:1])
+
+    @cached_property
+    def _isotropic_target(self) -> ScaledTarget:
+        target = self._target
+        packed = np.ascontiguousarray(target.packed[: MATRIX + 1])
+        return target._replace(packed=packed, covariances=target.covariances[:1], spreads=target.spreads[:1])
 
     @cached_property
     def _ordered(self) -> tuple[Any, ...]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.kernels.cpu.adaptive_rows import adaptive_sums
-from adagmm_o3d.kernels.cpu.convolved_pass import convolution_sums, pack
+from adagmm_o3d.kernels.cpu.convolved_pass import Kind, PassSource, PassTarget, convolution_sums, pack
 from adagmm_o3d.kernels.cpu.culling import CHUNK, CLUSTER
 from adagmm_o3d.kernels.cpu.nearest import nearest_sq
 from adagmm_o3d.kernels.cpu.ranges import run_in_ranges
@@ -240,11 +240,18 @@ class PairLoop:
         densities = np.empty(len(source.order))
         arguments = (
             _packed_pose(pose),
-            (source.points, matrices * scale, source.weights, source.weights32, source.variances * scale, source.bits),
+            PassSource(
+                source.points,
+                matrices * scale,
+                source.weights,
+                source.weights32,
+                source.variances * scale,
+                source.bits,
+            ),
             None if colour is None else (self._hues(colour, of_source=True), colour.cap),
-            (packed, target.variances * scale, target.bits),
+            PassTarget(packed, target.variances * scale, target.bits),
             target.tiles.at(scale),
-            (self._planar, self._isotropic, columns is not self._no_columns),
+            Kind(self._planar, self._isotropic, columns is not self._no_columns),
             uniform * self._unit,
             mutuality,
             columns,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from adagmm_o3d.kernels.cpu.consistency import shared_support
-from adagmm_o3d.kernels.cpu.features import BINS, FEATURE, describe, nearest_features, scatter_around
+from adagmm_o3d.kernels.cpu.features import BINS, FEATURE, binned, describe, nearest_features, scatter_around
 
 
 def cloud(n, seed=0):
@@ -57,6 +57,18 @@ def test_features_match_the_formula_written_out(n):
     np.testing.assert_allclose(features, naive_features(points, normals, 0.7), rtol=1e-9, atol=1e-9)
 
 
+def test_features_are_the_same_in_any_unit():
+    points, normals = cloud(30)
+    features, magnified = np.empty((2, 30, FEATURE))
+    describe(points, normals, 0.7, features)
+    describe(64.0 * points, normals, 64.0 * 0.7, magnified)
+    np.testing.assert_allclose(magnified, features, rtol=1e-9, atol=1e-9)
+
+
+def test_the_ends_of_the_range_are_in_the_outer_bins():
+    assert [binned(value) for value in (-0.1, 0.0, 0.999, 1.0, 1.1)] == [0, 0, BINS - 1, BINS - 1, BINS - 1]
+
+
 def test_a_feature_whose_normal_is_turned_is_the_same_reversed():
     points, normals = cloud(40)
     signs = np.where(np.arange(40) % 3 == 0, -1.0, 1.0)
@@ -93,7 +105,7 @@ def test_scatter_around_a_point():
         np.testing.assert_allclose(found, np.cov(near.T, bias=True), rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize("n", [3, 64, 70])
+@pytest.mark.parametrize("n", [3, 64, 65, 70])
 def test_support_counts_the_correspondences_that_agree_with_both(n):
     rng = np.random.default_rng(n)
     p, normals = cloud(n, n)

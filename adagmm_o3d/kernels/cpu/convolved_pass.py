@@ -9,6 +9,8 @@ A cluster of source points meets only the target points that it can reach. These
 loop over pairs stays dense whatever the order of the points.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -37,6 +39,34 @@ STRIDE = RUN + 2 * LANES
 FEW_TILES = 8
 # Numba compiles a function anew for a literal.
 ZERO, ONE = np.int64(0), np.int64(1)
+
+
+class PassSource(NamedTuple):
+    """A source at σ: points (3, M), matrices (1 or 6, M) packed, weights (M,) float64 and weights32, largest variances
+    (M,), and by how many powers of two a weight may fall, bits (M,)."""
+
+    points: NDArray[np.float32]
+    matrices: NDArray[np.float32]
+    weights: NDArray[np.float64]
+    weights32: NDArray[np.float32]
+    variances: NDArray[np.float32]
+    bits: NDArray[np.float32]
+
+
+class PassTarget(NamedTuple):
+    """A target at σ: see `pack`; largest variances and bits (N,)."""
+
+    packed: NDArray[np.float32]
+    variances: NDArray[np.float32]
+    bits: NDArray[np.float32]
+
+
+class Kind(NamedTuple):
+    """Which of the loops: in the plane, on multiples of the identity, for densities alone."""
+
+    planar: bool
+    isotropic: bool
+    densities_only: bool
 
 
 def pack(
@@ -119,10 +149,9 @@ def points_in_reach(
 def convolved_pass(band, bands, pose, source, hues, target, tiles, kind, uniform, mutuality, columns, total, densities):
     """The pairs of one of several bands of the source with all of the target, serially.
 
-    source : points (3, M), matrices (1 or 6, M) at σ, weights float64 and float32, largest variances at σ, bits (M,).
+    source, target, kind : `PassSource`, `PassTarget`, `Kind`.
     hues : colours of the source points (3, M) and the `cap`, see `convolved_rows`; None where colours do not count.
-    target : packed (6 or 11, with colours 9 or 14, padded N) float32, see `pack`; largest variances at σ, bits (N,).
-    tiles : the target's, with variances at σ.   kind : (planar, isotropic, densities_only).
+    tiles : the target's, `tiles.Tiles` with variances at σ.
     columns : (padded N,) float32, receives the density of the band at the target points, times their weight, if
     densities_only.   total : (TOTAL_SUMS,), receives the sums if not.
     densities : (M,) receives the target's density at the source points.

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from adagmm_o3d.kernels.cpu.acceleration import STATE, TURN_AND_SHIFT
 from adagmm_o3d.kernels.cpu.compiling import FLAGS, SERIAL_KERNEL_FLAGS, source_stamp
-from adagmm_o3d.kernels.cpu.convolved_pass import ONE, ZERO, convolved_pass
+from adagmm_o3d.kernels.cpu.convolved_pass import ONE, ZERO, Kind, PassSource, PassTarget, convolved_pass
+from adagmm_o3d.kernels.cpu.tiles import Tiles
 from adagmm_o3d.kernels.formulas import LOG2_SCALE
 from adagmm_o3d.kernels.layout import MATRIX, SHARE, TOTAL_ENERGY, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
 from adagmm_o3d.kernels.update import (
@@ -26,6 +27,8 @@ from adagmm_o3d.kernels.update import (
     m_step,
     move,
 )
+
+Float32 = NDArray[np.float32]
 
 # What is known of a start, one column each.
 SIGMA, UNMATCHED, FASTEST, ITERATIONS, FOLLOW = range(5)
@@ -67,27 +70,75 @@ class RunLimits(NamedTuple):
     axis: NDArray[np.float64]
 
 
+class ScaledSource(NamedTuple):
+    """The components of a source, whose covariance at scale σ is σ · covariances + spreads; float32, in powers of two.
+
+    points (3, M), covariances and spreads (1 or 6, M) packed, weights (M,) float64 and weights32, reach and
+    reach_spreads (1, M) the largest variances of either.
+    """
+
+    points: Float32
+    covariances: Float32
+    spreads: Float32
+    weights: NDArray[np.float64]
+    weights32: Float32
+    reach: Float32
+    reach_spreads: Float32
+
+
+class ScaledTarget(NamedTuple):
+    """The same of a target: `packed` as in `convolved_pass.pack`; the boxes (3, count) and largest variances (1, count)
+    of its tiles and groups, see `tiles`."""
+
+    packed: Float32
+    covariances: Float32
+    spreads: Float32
+    reach: Float32
+    reach_spreads: Float32
+    tile_spreads: Float32
+    group_spreads: Float32
+    tile_lo: Float32
+    tile_hi: Float32
+    tile_variance: Float32
+    group_lo: Float32
+    group_hi: Float32
+    group_variance: Float32
+
+
+class Work(NamedTuple):
+    """Room for both sides at some σ, for what a pass leaves at the points of either, and how far pairs reach."""
+
+    matrices: Float32
+    packed: Float32
+    reach: Float32
+    target_reach: Float32
+    tile_reach: Float32
+    group_reach: Float32
+    columns: Float32
+    densities: NDArray[np.float64]
+    bits: Float32
+
+
 # Parts of their only callers: every compiled function that holds the loops over pairs takes seconds to compile.
 @njit(inline="always", **FLAGS)
 def one_pass(pose, sigma, uniform, source, hues, target, kind, work, total):
     """All pairs at `pose`: fills `total`, or where `kind` says densities only, the densities in `work`."""
-    points, covariances, spreads, weights, weights32, reach, reach_spreads = source
-    _, a, k, target_reach, target_reach_spreads, tile_spreads, group_spreads = target[:7]
-    matrices, own_packed, own_reach, own_target_reach, tile_reach, group_reach, columns, densities, bits = work
-    tile_lo, tile_hi, tile_variance, group_lo, group_hi, group_variance = target[7:]
-    at_scale(covariances, spreads, sigma, matrices, 0)
-    at_scale(a, k, sigma, own_packed, MATRIX)
-    at_scale(reach, reach_spreads, sigma, own_reach, 0)
-    at_scale(target_reach, target_reach_spreads, sigma, own_target_reach, 0)
-    at_scale(tile_variance, tile_spreads, sigma, tile_reach, 0)
-    at_scale(group_variance, group_spreads, sigma, group_reach, 0)
+    at_scale(source.covariances, source.spreads, sigma, work.matrices, 0)
+    at_scale(target.covariances, target.spreads, sigma, work.packed, MATRIX)
+    at_scale(source.reach, source.reach_spreads, sigma, work.reach, 0)
+    at_scale(target.reach, target.reach_spreads, sigma, work.target_reach, 0)
+    at_scale(target.tile_variance, target.tile_spreads, sigma, work.tile_reach, 0)
+    at_scale(target.group_variance, target.group_spreads, sigma, work.group_reach, 0)
     convolved_pass(
         ZERO, ONE, pose,
-        (points, matrices, weights, weights32, own_reach[0], bits),
+        PassSource(source.points, work.matrices, source.weights, source.weights32, work.reach[0], work.bits),
         hues,
-        (own_packed, own_target_reach[0], bits),
-        (tile_lo, tile_hi, tile_reach[0], bits, group_lo, group_hi, group_reach[0], bits),
-        kind, uniform, 0.0, columns, total, densities,
+        PassTarget(work.packed, work.target_reach[0], work.bits),
+        Tiles(
+            target.tile_lo, target.tile_hi, work.tile_reach[0], work.bits,
+            target.group_lo, target.group_hi, work.group_reach[0], work.bits,
+        ),
+        kind, uniform, 0.0, work.columns, total, work.densities,
     )  # fmt: skip
 
 
@@ -107,20 +158,19 @@ def run_start(pose, start, source, hues, target, isotropic, world, limits, memor
         limits.dimension, limits.floor, start[FASTEST], start[FOLLOW],
         limits.least_unmatched, limits.most_unmatched, limits.accelerated,
     )  # fmt: skip
-    m, n = source[0].shape[1], target[1].shape[1]
+    m, n = source.points.shape[1], target.covariances.shape[1]
     all_bits = np.empty(max(m, n), np.float32)
     for i in range(len(all_bits)):
         all_bits[i] = limits.bits
-    columns, densities = np.empty(target[0].shape[1], np.float32), np.empty(m, np.float64)
-    work = (
-        np.empty((target[1].shape[0], m), np.float32),
-        target[0].copy(),
+    work = Work(
+        np.empty((target.covariances.shape[0], m), np.float32),
+        target.packed.copy(),
         np.empty((1, m), np.float32),
         np.empty((1, n), np.float32),
-        np.empty((1, target[5].shape[1]), np.float32),
-        np.empty((1, target[6].shape[1]), np.float32),
-        columns,
-        densities,
+        np.empty((1, target.tile_spreads.shape[1]), np.float32),
+        np.empty((1, target.group_spreads.shape[1]), np.float32),
+        np.empty(target.packed.shape[1], np.float32),
+        np.empty(m, np.float64),
         all_bits,
     )
     pose32 = np.empty(12, np.float32)
@@ -135,7 +185,7 @@ def run_start(pose, start, source, hues, target, isotropic, world, limits, memor
         for i in range(12):
             pose32[i] = pose[i]
         uniform = density_without_partner_compiled(world, sigma, unmatched)
-        one_pass(pose32, np.float32(sigma), uniform, source, hues, target, (planar, isotropic, ended), work, total)
+        one_pass(pose32, np.float32(sigma), uniform, source, hues, target, Kind(planar, isotropic, ended), work, total)
         if ended:
             break
         if not total[TOTAL_WEIGHT] > 0.0:
@@ -156,11 +206,11 @@ def run_start(pose, start, source, hues, target, isotropic, world, limits, memor
     # The densities are relative to those of points without a partner, of which each end has its own share.
     uniform = density_without_partner_compiled(world, limits.compared_at, unmatched)
     likelihood = 2.0 * math.log(unmatched)
-    weights, packed = source[3], target[0]
     for i in range(m):
-        likelihood += weights[i] * math.log1p(densities[i] / uniform)
+        likelihood += source.weights[i] * math.log1p(work.densities[i] / uniform)
+    shares = target.packed[SHARE]
     for i in range(n):
-        likelihood += packed[SHARE, i] * math.log1p(columns[i] / (packed[SHARE, i] * uniform))
+        likelihood += shares[i] * math.log1p(work.columns[i] / (shares[i] * uniform))
     end[END_SIGMA] = sigma
     end[END_UNMATCHED] = unmatched
     end[END_LIKELIHOOD] = likelihood

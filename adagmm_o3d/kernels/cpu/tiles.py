@@ -36,9 +36,9 @@ class Tiles(NamedTuple):
     group_variance: Float32
     group_bits: Float32
 
-    def at(self, sigma: np.float32) -> tuple[Float32, ...]:
+    def at(self, sigma: np.float32) -> Tiles:
         """The same with every variance times σ."""
-        return tuple(self._replace(variance=self.variance * sigma, group_variance=self.group_variance * sigma))
+        return self._replace(variance=self.variance * sigma, group_variance=self.group_variance * sigma)
 
 
 def make_tiles(points: Float32, variances: Float32, bits: Float32) -> Tiles:

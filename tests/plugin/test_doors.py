@@ -47,3 +47,14 @@ def test_every_door_leads_to_the_same_pose(name, dtype):
         tensor[k].point.covariances = core.Tensor(covariances[k])
     assert_same(registration_adaptive_gmm(*legacy, 0.1).transformation, expected)
     assert_same(registration_adaptive_gmm(*tensor, 0.1).transformation.numpy(), expected)
+
+
+@pytest.mark.parametrize("name", ["kitti_small_gicp", "stanford_bunny_bun045_bun000"])
+def test_dense_clouds_are_the_same_by_every_door(name):
+    data = np.load(shared_data("cloud_pairs", f"{name}.npz"))
+    points = [data[which] for which in ("source", "target")]
+    expected = register_points(*points, *map(estimate_surface_covariances, points)).transformation
+    legacy = [o3d.geometry.PointCloud(o3d.utility.Vector3dVector(p.astype(float))) for p in points]
+    tensor = [o3d.t.geometry.PointCloud(core.Tensor(np.ascontiguousarray(p))) for p in points]
+    assert_same(registration_adaptive_gmm(*legacy, 0.1).transformation, expected)
+    assert_same(registration_adaptive_gmm(*tensor, 0.1).transformation.numpy(), expected)

@@ -18,7 +18,7 @@ from adagmm_o3d.mixtures.sampling import some_of
 
 # Points of either cloud that they are refined on, and how.
 POINTS = 500
-SIGMA, UNMATCHED, FASTEST, ITERATIONS = 0.004, 0.4, 0.7, 10
+SIGMA, UNMATCHED, FASTEST, ITERATIONS = 0.01, 0.4, 0.7, 20
 LIMITS = Limits(floor=1e-4, least_unmatched=0.05, relative_rmse=1e-4)
 # What is nearer is the same pose, as of a round shape.
 APART = 0.5

@@ -20,6 +20,7 @@ COMMANDS = {
     "kinect": ("kinect", {}, "the paper's Kinect scenes and its Figure 18"),
     "recordings": ("recordings", {}, "RGB-D recordings with ground truth, end to end through the app"),
     "pairs": ("pairs", {}, "clouds as people bring them: found, and known to be wrong, beside others"),
+    "belief": ("belief", {}, "the regression behind details.belief, fitted to the outcomes of pairs"),
     "speed": ("speed", {}, "how fast, beside other libraries, and against recorded ratios"),
     "ablation": ("ablation", {}, "what each choice of the default is worth: one undone at a time"),
     "color": ("color", {}, "what colours are worth, beside Open3D's coloured ICP from the same starts"),

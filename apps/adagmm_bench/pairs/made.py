@@ -9,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from adagmm_bench.models import find_models, models_digest
+from adagmm_bench.models import MADE_SHAPES, find_models, make_blob, models_digest
 from adagmm_bench.pairs.motions import moved, rigid, turn
 from adagmm_bench.pairs.overlap import NEAR_SHIFT, NOISE, find_rooms, near_motion, whole_models
 from adagmm_bench.pairs.problem import PairClouds, PairSource, plain_pair
 from adagmm_bench.pairs.public import PublicPair
 from adagmm_bench.pairs.recorded import find_recorded_pairs
+from adagmm_bench.simulation import unit_radius
 from adagmm_o3d import lie
 from adagmm_o3d.errors import InputError
 
@@ -136,6 +137,13 @@ def flipped(rng: np.random.Generator, trial: int, data_folder: Path | None) -> P
     return plain_pair(moved(source, motion), target, lie.se_inverse(motion))
 
 
+def mirror_image(rng: np.random.Generator, trial: int, data_folder: Path | None) -> PairClouds:
+    """A shape without symmetry, and its mirror image."""
+    shape = unit_radius(make_blob(int(rng.integers(MADE_SHAPES))))
+    target, source = (shape[rng.permutation(len(shape))[: len(shape) // 2]] for _ in range(2))
+    return _strangers(_near(rng, _noisy(rng, source)), _noisy(rng, target) * (-1.0, 1.0, 1.0))
+
+
 CASES: dict[str, Callable[[np.random.Generator, int, Path | None], PairClouds]] = {
     "halves of a model": halves,
     "unrelated models": unrelated_models,
@@ -143,6 +151,7 @@ CASES: dict[str, Callable[[np.random.Generator, int, Path | None], PairClouds]] 
     DIFFERENT_ROOMS: different_rooms,
     "copies of few points": copies_of_few_points,
     "half a turn off": flipped,
+    "mirror images": mirror_image,
 }
 OF_MODELS = (halves, unrelated_models, other_scale)
 

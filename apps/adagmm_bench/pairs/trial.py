@@ -15,6 +15,7 @@ from adagmm_bench.speed.large import surface_pair
 from adagmm_bench.trial import TrialJob, orthonormal, seed_generators
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.evaluation import overlap_ratio, rotation_error_deg
+from adagmm_o3d.trust.verdict import signs
 
 # Points on a grid of 0.04 units nearer than 0.06 are partners: this is the overlap that a pose has, ours or the truth.
 OVERLAP_GRID, OVERLAP_DISTANCE = 0.04, 0.06
@@ -24,7 +25,7 @@ def run_pair_trial(job: TrialJob[PairSource]) -> dict:
     """Register a pair and judge. A method that raises is a record too, with the identity for a pose.
 
     The errors are a rotation in degrees and the displacement of the pair's centre in units; None without a truth. Ours
-    add what they say of themselves: `overlap`, `warnings`.
+    add what they say of themselves: `overlap`, `warnings`, `belief` and the `signs` it comes from.
     """
     method = METHODS[job.method]
     if (reason := method.missing()) is not None:
@@ -77,7 +78,13 @@ def register_pair(name: str, clouds: PairClouds) -> tuple[np.ndarray, dict]:
         source_viewpoint=clouds.source_viewpoint,
         target_viewpoint=clouds.target_viewpoint,
     )
-    return result.transformation, {"overlap": result.overlap, "warnings": list(result.warnings)}
+    verdict = result.weigh()
+    return result.transformation, {
+        "overlap": result.overlap,
+        "warnings": list(result.warnings),
+        "belief": result.belief,
+        "signs": None if verdict is None or verdict.belief is None else signs(verdict).tolist(),
+    }
 
 
 def pose_difference(T_true: np.ndarray, T: np.ndarray, centre: np.ndarray, unit: float) -> tuple[float, float]:

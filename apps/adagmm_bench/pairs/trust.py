@@ -18,7 +18,7 @@ from adagmm_bench.problem import Cloud
 from adagmm_bench.scenes import KinectScene, find_scenes
 from adagmm_o3d.errors import InputError
 
-AS_GIVEN, RANDOM_START, WRONG_START = "as given", "random start", "wrong start"
+HOWS = AS_GIVEN, RANDOM_START, WRONG_START = "as given", "random start", "wrong start"
 WRONG_DEG, WRONG_SHIFT = (60.0, 180.0), 0.5  # how far a wrong `init` is from the truth: degrees, and median radii
 KINECT_FOUND = (10.0, 0.2)  # degrees, m: these truths are only good to a few degrees
 
@@ -106,15 +106,12 @@ def find_trust_pairs(data_folder: Path | None, *, trials: int, seed: int) -> tup
         del cases[DIFFERENT_ROOMS]
     pairs: list[PairSource] = [MadePair(case, trial, seed, data_folder) for case in cases for trial in range(trials)]
     known: dict[str, tuple[Callable[[], Sequence[PairSource]], tuple[str, ...]]] = {
-        "recordings": (lambda: find_recorded_pairs(data_folder)[0], (RANDOM_START, WRONG_START)),
+        "recordings": (lambda: find_recorded_pairs(data_folder)[0], HOWS),
         "public pairs": (
             lambda: [pair for pair in find_public_pairs(data_folder) if pair.load().T_target_source is not None],
-            (RANDOM_START, WRONG_START),
+            HOWS,
         ),
-        "Kinect scenes": (
-            lambda: [KinectPair(scene) for scene in find_scenes(data_folder)],
-            (AS_GIVEN, RANDOM_START, WRONG_START),
-        ),
+        "Kinect scenes": (lambda: [KinectPair(scene) for scene in find_scenes(data_folder)], HOWS),
     }
     for name, (find, hows) in known.items():
         try:

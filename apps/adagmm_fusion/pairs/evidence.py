@@ -9,7 +9,7 @@ from adagmm_fusion.pairs.pipeline import PairOutcome
 from adagmm_fusion.pairs.point_diagnostics import PARTNER, points_at_pose
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.pairs.stages import Stage
-from adagmm_o3d.result import LEAST_EVIDENCE
+from adagmm_o3d.result import LEAST_BELIEF, LEAST_EVIDENCE
 
 
 def evidence_of(outcome: PairOutcome, stages: tuple[Stage, ...], settings: Settings) -> Evidence:
@@ -32,7 +32,8 @@ def evidence_of(outcome: PairOutcome, stages: tuple[Stage, ...], settings: Setti
         moved_mm=moved_mm,
         across=across,
         ambiguous=estimate.ambiguous,
-        chance_fit=estimate.evidence is not None and estimate.evidence < LEAST_EVIDENCE,
+        chance_fit=(estimate.evidence is not None and estimate.evidence < LEAST_EVIDENCE)
+        or (estimate.belief is not None and estimate.belief < LEAST_BELIEF),
         converged=estimate.converged,
         free_directions=len(estimate.unobservable),
         mirrored=_mirrored(outcome),

@@ -12,6 +12,7 @@ from adagmm_o3d.em.expectation import MOST_UNMATCHED
 from adagmm_o3d.em.runs import Limits, Start, run_starts
 from adagmm_o3d.em.unmatched import COMPARED_SIGMA, uniform_density
 from adagmm_o3d.kernels.cpu.acceleration import LOG_SIGMA, STATE, UNMATCHED_SHARE, accelerate, empty_memory, forget
+from adagmm_o3d.kernels.cpu.convolved_pass import FEW_TILES
 from adagmm_o3d.kernels.cpu.culling import GROUP, TILE
 from adagmm_o3d.kernels.cpu.farthest_points import farthest_points
 from adagmm_o3d.kernels.cpu.nearest_other import nearest_other_sq
@@ -301,9 +302,10 @@ def test_tiles_and_groups_out_of_reach_are_left_out_and_nothing_else(dimension, 
 
 @pytest.mark.parametrize("vague", ["source", "target"])
 @pytest.mark.parametrize("what", ["covariances", "spreads"])
-def test_a_pair_reaches_as_far_as_the_variance_of_either_side_does(vague, what):
+@pytest.mark.parametrize("size", [TILE + 40, (FEW_TILES + 2) * TILE], ids=["whole tiles", "points of tiles"])
+def test_a_pair_reaches_as_far_as_the_variance_of_either_side_does(vague, what, size):
     # It weighs exp(-12.5), 2^-18: within the reach of the vague side, far out of that of the sharp one.
-    p, sigma = Problem(3, False, sizes=(9, TILE + 40)), 0.5
+    p, sigma = Problem(3, False, sizes=(9, size)), 0.5
     p.pose = np.eye(4)
     p.source.points *= 1e-3
     p.target.points *= 1e-3

@@ -8,6 +8,7 @@ from importlib import metadata
 from pathlib import Path
 
 import numpy as np
+import open3d as o3d
 from rich.box import HEAVY_HEAD, SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
@@ -192,7 +193,10 @@ def write_report(folder: Path, report: Report) -> tuple[Path, Path]:
 
 def versions() -> dict[str, str]:
     """Python's, and those of the packages a result may depend on."""
-    return {"python": platform.python_version()} | {name: metadata.version(name) for name in PACKAGES}
+    # Open3D comes in one of two packages: open3d or open3d-cpu.
+    return {"python": platform.python_version()} | {
+        name: o3d.__version__ if name == "open3d" else metadata.version(name) for name in PACKAGES
+    }
 
 
 def _row(record: PairRecord) -> list[str]:

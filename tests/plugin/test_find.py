@@ -110,15 +110,16 @@ def test_the_judge_prefers_the_truth_to_a_pose_where_all_overlaps_loosely():
     assert judge.sharp and true > 0.0 > centred
 
 
-def test_a_fifth_of_the_same_points_is_evidence_and_a_loose_fit_of_all_is_none():
+def test_a_third_of_the_same_points_is_evidence_and_a_loose_fit_of_all_is_none():
     for seed in range(4):
-        parts = Parts(seed, 0.2, turn=0.2, n=1200, same=True)
+        parts = Parts(seed, 0.3, turn=0.2, n=1200, same=True)
         source, target, normalisation = parts.mixtures()
         levels = Levels(source, target, SCHEDULE)
         loose = first_end(levels, [wide(np.eye(4))])[1].pose
         judge = Judge(source, target, levels.sampled(JUDGED))
         true, wrong = judge.evidence([normalisation.pose_in(parts.T), loose])
-        assert true > 0.0 > wrong, seed
+        # At one scale and one share alone it was 0.0 to 0.2.
+        assert true > 0.3 and wrong < 0.0, seed
 
 
 def test_shapes_that_share_nothing_are_not_trusted():

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from importlib import metadata
 
+import open3d as o3d
 import rerun as rr
 
 PACKAGES = ("adagmm-o3d", "open3d", "numpy", "numba", "rerun-sdk")
@@ -22,5 +23,9 @@ def log_recording_properties(
     )
     if parameters:
         rec.send_property("parameters", rr.AnyValues(**{name: str(value) for name, value in parameters.items()}))
-    versions = {package.replace("-", "_"): metadata.version(package) for package in PACKAGES}
+    # Open3D comes in one of two packages: open3d or open3d-cpu.
+    versions = {
+        package.replace("-", "_"): o3d.__version__ if package == "open3d" else metadata.version(package)
+        for package in PACKAGES
+    }
     rec.send_property("versions", rr.AnyValues(**versions))

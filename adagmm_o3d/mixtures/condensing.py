@@ -97,7 +97,10 @@ class Condensed:
         return self.whole if self._cells is None else self._cells.at(end)
 
     def meets_many(self, sigma: float) -> bool:
-        """Whether a point would meet more than MOST_MET components at `sigma`, were they spread over a sphere."""
+        """Whether a point would meet more than MOST_MET components at `sigma`, were they spread over a sphere; never on a
+        GPU, which can afford them."""
+        if self.whole.on_device:
+            return False
         return len(self._bare) * min(1.0, 2.0 * REACH * sigma * self._typical_largest / 4.0) > MOST_MET
 
     @cached_property

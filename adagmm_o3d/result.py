@@ -210,7 +210,7 @@ class PointRegistrationResult:
     def evidence(self) -> float | None:
         """Mean log-likelihood of the points at the final pose, both clouds together, beyond that of having no partner
         at all [nats per point], at a scale four times the finest at which the clouds know their own shape. Below
-        LEAST_EVIDENCE a chance fit does as well. None for the paper's own rules and where no pair has any weight."""
+        LEAST_EVIDENCE a chance fit does as well. None where no pair has any weight."""
         verdict = self.weigh()
         return None if verdict is None else verdict.evidence
 

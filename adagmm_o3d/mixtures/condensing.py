@@ -89,7 +89,7 @@ class Condensed:
     def at(self, begin: float, end: float) -> Mixture:
         """What stands for the points while σ falls from `begin` to `end`: no more than a point can afford to meet."""
         finest = self._bare
-        if not self.whole.on_device and self.meets_many(begin):
+        if self.meets_many(begin):
             edges = EDGE * np.sqrt(end * _elongation(self.whole) * _octave_variances(finest))
             coarse = _make_cells(finest, edges, None if self._cells is None else self._cells.scatters)
             if coarse is not None:
@@ -97,8 +97,10 @@ class Condensed:
         return self.whole if self._cells is None else self._cells.at(end)
 
     def meets_many(self, sigma: float) -> bool:
-        """Whether a point would meet more than MOST_MET components at `sigma`, were they spread over a sphere; never on a
-        GPU, which can afford them."""
+        """Whether a point would meet more than MOST_MET components at `sigma`, were they spread over a sphere.
+
+        Never on a GPU, which can afford them.
+        """
         if self.whole.on_device:
             return False
         return len(self._bare) * min(1.0, 2.0 * REACH * sigma * self._typical_largest / 4.0) > MOST_MET

@@ -110,10 +110,8 @@ class DeviceMixture(Mixture):
         """The mixture of the chosen components, on the host."""
         index = np.arange(len(self))[index]
         chosen = self._chosen(index, VARIANCE)
-        # By their own variance, as the kernels do: in units of another's some have no number.
-        covariances = (chosen[COVARIANCE:VARIANCE] / self._raw[index] * self._relative[index])[SQUARE].T.reshape(
-            -1, 3, 3
-        )
+        factors = self._relative[index] / (self._raw[index] / self.frame.unit) / self.frame.unit
+        covariances = (chosen[COVARIANCE:VARIANCE] * factors)[SQUARE].T.reshape(-1, 3, 3)
         return Mixture(
             self._in_frame(chosen),
             np.ascontiguousarray(covariances),

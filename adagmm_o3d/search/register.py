@@ -81,8 +81,7 @@ def register_mixtures(
         seen_from, turned = normalisation.points_in(*viewpoints), comes_second(moving, fixed)
         sides = clouds[0].searched, clouds[1].searched
         searched = Levels(*(sides[::-1] if turned else sides), SCHEDULE, axis)
-        judged = (searched.source, searched.target, searched.sampled(JUDGED))
-        judge = Deferred(lambda: Judge(*judged, seen_from[::-1] if turned else seen_from))
+        judge = Deferred(partial(_judge_of, searched, seen_from[::-1] if turned else seen_from))
         identity = normalisation.pose_in(np.eye(4))
         if given is not None and np.allclose(given, identity, rtol=0, atol=1e-9):
             given = None
@@ -148,6 +147,9 @@ def register_mixtures(
         outcome = expectation_maximisation(
             expectation, start, limits, dimension, relaxation=method.relaxation, axis=axis, observe=observe
         )
+        if outcome.stop_reason is not StopReason.NO_OVERLAP:
+            seen_from = normalisation.points_in(*viewpoints)
+            weigh = partial(_weigh, Deferred(partial(_judge_at_last, moving, fixed, seen_from)), outcome.pose, False)
     find_partners = partial(no_partners, moving)
     compare_colors: Callable[[], Array] | None = None
     if outcome.stop_reason is not StopReason.NO_OVERLAP:
@@ -183,12 +185,22 @@ def _of_inverse(observe: Callable[[Iteration], None]) -> Callable[[Iteration], N
     return lambda iteration: observe(_inverse(iteration))
 
 
+def _judge_of(searched: Levels, viewpoints: tuple[Array | None, Array | None]) -> Judge:
+    return Judge(searched.source, searched.target, searched.sampled(JUDGED), viewpoints)
+
+
+def _judge_at_last(moving: Mixture, fixed: Mixture, viewpoints: tuple[Array | None, Array | None]) -> Judge:
+    """The judge of a pose that was found without a search."""
+    sides = Condensed(moving).searched, Condensed(fixed).searched
+    return _judge_of(Levels(*sides, SCHEDULE, ANY_AXIS), viewpoints)
+
+
 def _weigh(judge: Deferred[Judge], pose: Array, turned: bool) -> Verdict:
     return verdict.weigh(judge(), pose, turned=turned)
 
 
 def _none() -> None:
-    """Of a pose that the paper's own rules found, or that no pair speaks for."""
+    """Of a pose that no pair speaks for."""
 
 
 def comes_second(source: Mixture, target: Mixture) -> bool:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from adagmm_fusion.files.atomic_file import replacing
@@ -103,7 +104,8 @@ def plot_pair_errors(
 
 
 def _save(figure: Figure, path: Path) -> None:
-    """Write the figure as it is named, and as .svg beside it."""
+    """Write the figure as it is named, and as .svg beside it; the same figure is the same bytes."""
     for beside in (path, path.with_suffix(".svg")):
-        with replacing(beside) as temporary:
-            figure.savefig(temporary, dpi=130, format=beside.suffix[1:])
+        undated = {"Date": None} if beside.suffix == ".svg" else {}
+        with replacing(beside) as temporary, rc_context({"svg.hashsalt": "adagmm"}):
+            figure.savefig(temporary, dpi=130, format=beside.suffix[1:], metadata=undated)

@@ -19,7 +19,7 @@ COMMANDS = {
     "simulate": "render a recording of two Kinects",
     "info": "say what is in a recording",
     "convert": "write a recording in our own layout",
-    "calibrate": "make a rig file from images of a board",
+    "calibrate": "make a rig file from images of a board, or of any scene",
     "convert-rig": "make a rig file of other programs' calibrations",
     "verify": "say whether a rig's calibration is still true",
     "fuse": "fuse a whole recording into one mesh",

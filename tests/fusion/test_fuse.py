@@ -86,15 +86,19 @@ def test_a_walk_is_fused_and_its_trajectory_is_right(walk, tmp_path, capsys):
 def test_an_interrupted_run_goes_on_where_it_was(walk, tmp_path, monkeypatch, capsys):
     register_pair, registered = edges_module.register_pair, []
 
-    def interrupted(pair, settings):
+    def interrupted(pair, settings, **seen):
         if len(registered) == 2:
             raise KeyboardInterrupt
         registered.append(pair.name)
-        return register_pair(pair, settings)
+        return register_pair(pair, settings, **seen)
+
+    def noted(pair, settings, **seen):
+        registered.append(pair.name)
+        return register_pair(pair, settings, **seen)
 
     monkeypatch.setattr(edges_module, "register_pair", interrupted)
     assert fuse(walk, tmp_path) == 130
-    monkeypatch.setattr(edges_module, "register_pair", lambda *a: registered.append(a[0].name) or register_pair(*a))
+    monkeypatch.setattr(edges_module, "register_pair", noted)
     capsys.readouterr()
     assert fuse(walk, tmp_path) == 0
     assert capsys.readouterr().out.startswith("resumed: 2 registrations are there\n")

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from adagmm_fusion.errors import OutputError
-from adagmm_fusion.files.stale_results import remove_files, remove_results_of_report
+from adagmm_fusion.files.stale_results import remove_files, remove_untouched, results_of_report, states_of
 
 SCHEMA = "adagmm-fusion-report"
 
@@ -28,7 +28,7 @@ def report(folder, results: dict, schema: str = SCHEMA) -> None:
 def test_what_the_report_names_goes_and_what_it_does_not_stays(tmp_path):
     write_all(tmp_path, ["fused/a.ply", "fused/a.glb", "fused/mine.ply", "rig.yaml", "room.rrd", "notes.txt"])
     report(tmp_path, {"cloud": "fused/a.ply", "mesh": "fused/a.glb", "rig": "rig.yaml", "rerun": "room.rrd"})
-    remove_results_of_report(tmp_path, SCHEMA)
+    remove_files(tmp_path, results_of_report(tmp_path, SCHEMA))
     assert names(tmp_path) == {"fused/mine.ply", "notes.txt"}
 
 
@@ -40,7 +40,7 @@ def test_a_report_that_names_something_else_is_not_believed(tmp_path, name):
     write_all(tmp_path, ["victim.ply"])
     write_all(folder, ["notes.txt", "fused/x/a.ply"])
     report(folder, {"x": name})
-    remove_results_of_report(folder, SCHEMA)
+    remove_files(folder, results_of_report(folder, SCHEMA))
     assert names(tmp_path) == {"victim.ply", "out/notes.txt", "out/fused/x/a.ply"}
 
 
@@ -50,7 +50,7 @@ def test_a_report_that_names_something_else_is_not_believed(tmp_path, name):
 def test_another_report_is_left_or_only_replaced(tmp_path, content):
     write_all(tmp_path, ["fused/a.ply"])
     (tmp_path / "report.json").write_text(content)
-    remove_results_of_report(tmp_path, SCHEMA)
+    remove_files(tmp_path, results_of_report(tmp_path, SCHEMA))
     assert "fused/a.ply" in names(tmp_path)
 
 
@@ -60,7 +60,7 @@ def test_links_are_not_followed(tmp_path):
     folder.mkdir()
     (folder / "fused").symlink_to(tmp_path / "elsewhere")
     report(folder, {"x": "fused/a.ply"})
-    remove_results_of_report(folder, SCHEMA)
+    remove_files(folder, results_of_report(folder, SCHEMA))
     assert (tmp_path / "elsewhere" / "a.ply").is_file()
 
 
@@ -73,3 +73,14 @@ def test_what_cannot_be_removed_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(type(tmp_path), "unlink", refuse)
     with pytest.raises(OutputError, match=r"mesh\.ply: of an earlier run, cannot be removed: Permission denied"):
         remove_files(tmp_path, ["mesh.ply", "none.ply"])
+
+
+def test_what_was_written_anew_stays(tmp_path):
+    for name in ("old.ply", "new.ply"):
+        (tmp_path / name).write_text("earlier")
+    earlier = states_of(tmp_path, ["old.ply", "new.ply", "later.ply"])
+    (tmp_path / "written").write_text("earlier")
+    (tmp_path / "written").replace(tmp_path / "new.ply")
+    (tmp_path / "later.ply").write_text("later")
+    remove_untouched(tmp_path, earlier)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["later.ply", "new.ply"]

@@ -10,7 +10,7 @@ from adagmm_o3d.kernels.cpu.acceleration import (
     MEMORY,
     STATE,
     TURN_AND_SHIFT,
-    accelerate,
+    accelerated_step,
     empty_memory,
     forget,
 )
@@ -28,7 +28,7 @@ def fresh():
 
 def next_step(memory, residual, deviation=DEVIATION):
     step = np.full(STATE, np.nan)
-    accelerate(residual, deviation, memory, step)
+    accelerated_step(residual, deviation, memory, step)
     return step
 
 

@@ -11,7 +11,14 @@ from mixtures import random_points_and_covariances, random_pose
 from adagmm_o3d.em.expectation import MOST_UNMATCHED
 from adagmm_o3d.em.runs import Limits, Start, run_starts
 from adagmm_o3d.em.unmatched import COMPARED_SIGMA, uniform_density
-from adagmm_o3d.kernels.cpu.acceleration import LOG_SIGMA, STATE, UNMATCHED_SHARE, accelerate, empty_memory, forget
+from adagmm_o3d.kernels.cpu.acceleration import (
+    LOG_SIGMA,
+    STATE,
+    UNMATCHED_SHARE,
+    accelerated_step,
+    empty_memory,
+    forget,
+)
 from adagmm_o3d.kernels.cpu.convolved_pass import FEW_TILES
 from adagmm_o3d.kernels.cpu.culling import GROUP, TILE
 from adagmm_o3d.kernels.cpu.farthest_points import farthest_points
@@ -153,7 +160,7 @@ class Problem:
             new = max(slowest, wanted)
             residual = np.concatenate([self.newton_step(sums, pose), [math.log(new / sigma), share - unmatched]])
             if limits.accelerated and slowest <= wanted:
-                accelerate(residual, math.sqrt(sigma), memory, taken)
+                accelerated_step(residual, math.sqrt(sigma), memory, taken)
                 new = max(sigma * math.exp(taken[LOG_SIGMA]), limits.floor)
             else:
                 forget(memory)

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from adagmm_o3d.kernels.cpu.compiling import EXACT_FLAGS, EXACT_KERNEL_FLAGS, source_stamp
+from adagmm_o3d.kernels.cpu.compiling import EXACT_FLAGS
 
 # The state: ω, v, log σ, unmatched share.
 TURN_AND_SHIFT, LOG_SIGMA, UNMATCHED_SHARE = 6, 6, 7
@@ -111,17 +111,3 @@ def product(a, b, deviation):
 @njit(**EXACT_FLAGS)
 def size(a, deviation):
     return math.sqrt(product(a, a, deviation))
-
-
-def _build(stamp):
-    """`accelerated_step` as called from Python; `stamp` keeps its cache fresh."""
-
-    @njit(**EXACT_KERNEL_FLAGS)
-    def accelerate(residual, deviation, memory, step):
-        _ = stamp
-        accelerated_step(residual, deviation, memory, step)
-
-    return accelerate
-
-
-accelerate = _build(source_stamp())

@@ -2,7 +2,6 @@
 
 import hashlib
 import logging
-import math
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -70,7 +69,7 @@ event.register("numba:compile", _Announcement())
 @njit(**FLAGS)
 def inverse_root(x):
     """1/√x of a float32 or a float64, in its own type."""
-    return F1 / math.sqrt(x)
+    return F1 / np.sqrt(x)
 
 
 # The formulas for the CPU.

@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
     """
     from adagmm_fusion.files.atomic_file import check_output_file
     from adagmm_fusion.files.output_folder import exclusive
-    from adagmm_fusion.files.stale_results import remove_files
+    from adagmm_fusion.files.stale_results import remove_untouched, states_of
     from adagmm_fusion.rerun_log import check_destination
 
     if not args.no_rerun:
@@ -96,8 +96,10 @@ def run(args: argparse.Namespace) -> int:
     with contextlib.redirect_stdout(sys.stderr) if args.stdout else contextlib.nullcontext(), exclusive(folder):
         for path in (folder / f"mesh.{args.mesh}", *(path for _, path in _trajectory_files(recording, folder))):
             check_output_file(path)
-        remove_files(folder, [*OTHER_MESHES, *(path.name for _, path in _trajectory_files(recording, folder))])
+        trajectories = (path.name for _, path in _trajectory_files(recording, folder))
+        earlier = states_of(folder, [*OTHER_MESHES, *trajectories])
         _fuse(args, recording, folder)
+        remove_untouched(folder, earlier)
     return 0
 
 

@@ -15,7 +15,7 @@ from adagmm_fusion.commands.progress import progress
 from adagmm_fusion.errors import OutputError, one_line
 from adagmm_fusion.files.atomic_file import check_output_file
 from adagmm_fusion.files.output_folder import exclusive
-from adagmm_fusion.files.stale_results import remove_results_of_report
+from adagmm_fusion.files.stale_results import remove_untouched, results_of_report, states_of
 from adagmm_fusion.frames.rgbd import RGBDPair
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh, save_textured_mesh
 from adagmm_fusion.pairs.fusion import RigEstimate, fused_cloud, fused_mesh, save_cloud
@@ -76,7 +76,7 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
         stack.enter_context(exclusive(folder))
         for name in ("report.md", "report.json", "rig.yaml"):
             check_output_file(folder / name)
-        remove_results_of_report(folder, SCHEMA)
+        earlier = states_of(folder, results_of_report(folder, SCHEMA))
         viewing = stack.enter_context(contextlib.ExitStack())
         viewer = None if args.no_rerun else viewing.enter_context(_viewer(args, recording, settings, len(indices)))
         display = stack.enter_context(progress())
@@ -130,6 +130,7 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
         if rig is not None:
             save_rig(folder / "rig.yaml", rig)
         paths = write_report(folder, report)
+        remove_untouched(folder, earlier)
         # Whoever has hung up reads no more of it.
         with contextlib.nullcontext() if stopped is None else contextlib.suppress(OSError):
             display.stop()

@@ -1,8 +1,8 @@
-"""What an earlier run has left in a folder of results: it goes before the next one writes there."""
+"""What an earlier run has left in a folder of results: it goes once the next one has written its own there."""
 
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from adagmm_fusion.errors import OutputError
@@ -13,20 +13,33 @@ from adagmm_o3d.errors import AdaGMMError, InputError
 RESULT = re.compile(r"(fused/[^/\\]+\.(ply|glb)|rig\.yaml|[^/\\]+\.rrd)")
 
 
-def remove_results_of_report(folder: Path, schema: str) -> None:
-    """Remove report.json, report.md and the results that it names, where an earlier run with this schema left them.
-
-    Raises
-    ------
-    OutputError  if one cannot be removed.
-    """
+def results_of_report(folder: Path, schema: str) -> list[str]:
+    """report.json, report.md and the results that it names, where an earlier run with this schema left them."""
     try:
         content = json.loads(read_input_text(folder / "report.json", InputError))
         named = content["results"].values() if content["schema"] == schema else ()
     except (AdaGMMError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        return
+        return []
     names = [name for name in named if isinstance(name, str) and RESULT.fullmatch(name) and name.isprintable()]
-    remove_files(folder, [*names, "report.json", "report.md"])
+    return [*names, "report.json", "report.md"]
+
+
+def states_of(folder: Path, names: Iterable[str]) -> dict[str, tuple[int, int] | None]:
+    """What tells each of these files from one that replaces it; None where there is none."""
+    states: dict[str, tuple[int, int] | None] = {}
+    for name in names:
+        try:
+            status = (folder / name).lstat()
+            states[name] = status.st_ino, status.st_mtime_ns
+        except OSError:
+            states[name] = None
+    return states
+
+
+def remove_untouched(folder: Path, earlier: Mapping[str, tuple[int, int] | None]) -> None:
+    """Remove the files that are as `states_of` found them. Raises OutputError if it fails."""
+    now = states_of(folder, earlier)
+    remove_files(folder, [name for name, state in earlier.items() if now[name] == state])
 
 
 def remove_files(folder: Path, names: Iterable[str]) -> None:

@@ -44,7 +44,8 @@ def pair(with_covariances, dtype):
     target = rng.normal(size=(3 * TILE + 1, 3)) * (1.0, 0.7, 0.4)
     T = random_pose(rng, 3, angle=0.2, distance=0.1)
     made = []
-    for points in ((target - T[:3, 3]) @ T[:3, :3], target):
+    source = (target - T[:3, 3]) @ T[:3, :3] + rng.normal(scale=1e-3, size=target.shape)
+    for points in (source, target):
         tensor = o3d.t.geometry.PointCloud(o3d.core.Tensor(points, dtype))
         if with_covariances:
             tensor.point.covariances = o3d.core.Tensor(estimate_surface_covariances(points, knn=5), dtype)
@@ -108,21 +109,6 @@ def test_covariances_of_the_wrong_shape_are_refused():
     target.point.covariances = o3d.core.Tensor(np.ones((len(target.point.positions), 9)))
     with pytest.raises(InputError, match=r"target.covariances: expected shape \(25, 3, 3\), got \(25, 9\)"):
         registration_adaptive_gmm(source, target, 0.1)
-
-
-@pytest.mark.parametrize(("large", "small"), [(1e300, 1e-300), (1e200, 1e-200), (1.0, 1e-300)])
-def test_covariances_at_both_ends_of_all_numbers(large, small):
-    """As on the host: those of one cloud have no number in units of one another."""
-    clouds = pair(True, o3d.core.float64)[:2]
-    for cloud in clouds:
-        covariances = cloud.point.covariances.numpy().copy()
-        covariances[: len(covariances) // 2] *= large
-        covariances[len(covariances) // 2 :] *= small
-        cloud.point.covariances = o3d.core.Tensor(covariances)
-    options = {"estimation_method": METHOD, "criteria": CRITERIA}
-    expected = registration_adaptive_gmm(*clouds, 0.1, device="cpu", **options)
-    result = registration_adaptive_gmm(*clouds, 0.1, **options)
-    np.testing.assert_allclose(result.transformation.numpy(), expected.transformation.numpy(), rtol=0, atol=1e-5)
 
 
 def test_a_cloud_that_is_prepared_there():

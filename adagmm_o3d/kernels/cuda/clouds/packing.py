@@ -78,18 +78,17 @@ def _build_pack(precise, isotropic, stamp):
             corners[t, k] = coordinate
             corners[t, k + 3] = coordinate
         tiles[tile, SHARE, t] = shares[tile, t]
-        # In units of another point's variance some have no number; their own always gives them one.
-        own = points[VARIANCE, i]
-        wanted = min(max(own / unit, least), most)
-        corners[t, BOX_VARIANCE] = points[LARGEST, i] / own * wanted / LOG2_SCALE
+        relative = points[VARIANCE, i] / unit
+        factor = min(max(relative, least), most) / relative / unit
+        corners[t, BOX_VARIANCE] = points[LARGEST, i] * factor / LOG2_SCALE
         corners[t, BOX_BITS] = bits[tile, t]
-        c0 = points[COVARIANCE, i] / own * wanted
+        c0 = points[COVARIANCE, i] * factor
         if isotropic:
             tiles[tile, TILE_MATRIX, t] = LOG2_SCALE / c0 if precise else c0 / LOG2_SCALE
         else:
-            c1, c2 = points[COVARIANCE + 1, i] / own * wanted, points[COVARIANCE + 2, i] / own * wanted
-            c3, c4 = points[COVARIANCE + 3, i] / own * wanted, points[COVARIANCE + 4, i] / own * wanted
-            c5 = points[COVARIANCE + 5, i] / own * wanted
+            c1, c2 = points[COVARIANCE + 1, i] * factor, points[COVARIANCE + 2, i] * factor
+            c3, c4 = points[COVARIANCE + 3, i] * factor, points[COVARIANCE + 4, i] * factor
+            c5 = points[COVARIANCE + 5, i] * factor
             in_powers_of_two = 1.0 / LOG2_SCALE
             if precise:
                 a0, a1, a2, a3, a4, a5 = adjugate(c0, c1, c2, c3, c4, c5)

@@ -44,7 +44,7 @@ def pair(with_covariances, dtype):
     target = rng.normal(size=(3 * TILE + 1, 3)) * (1.0, 0.7, 0.4)
     T = random_pose(rng, 3, angle=0.2, distance=0.1)
     made = []
-    source = (target - T[:3, 3]) @ T[:3, :3] + rng.normal(scale=1e-3, size=target.shape)
+    source = (target - T[:3, 3]) @ T[:3, :3] + rng.normal(scale=3e-4, size=target.shape)
     for points in (source, target):
         tensor = o3d.t.geometry.PointCloud(o3d.core.Tensor(points, dtype))
         if with_covariances:

@@ -7,7 +7,8 @@ go together into one logistic regression, with a weight for each, of outcomes fo
 a wrong outcome count as equally likely beforehand, so that a belief of a half is where in doubt one warns.
 
 The weights are fitted on generated pairs alone: parts of models and rooms bent as sensors bend, halves, mirror images,
-boxes half a turn off, the simulations. Recorded and public pairs are held out.
+boxes half a turn off, the simulations. Recorded and public pairs are held out of the fit; the choice of the three signs
+was made with some of them in sight.
 """
 
 from __future__ import annotations

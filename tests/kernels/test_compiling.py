@@ -7,6 +7,7 @@ import threading
 
 import numba
 import pytest
+from loop_versions import loops_by_address
 
 from adagmm_o3d.kernels.cpu.compiling import is_compiled
 from adagmm_o3d.kernels.cpu.ranges import run_in_ranges
@@ -25,7 +26,7 @@ for _ in range(2):
 REGISTER = """
 import hashlib
 import numpy as np
-from adagmm_o3d import register_points
+from adagmm_o3d import TransformationEstimationForAdaptiveGMM, register_points
 
 rng = np.random.default_rng(0)
 for n, dimension in ((200, 2), (200, 3), (1300, 3)):
@@ -34,21 +35,65 @@ for n, dimension in ((200, 2), (200, 3), (1300, 3)):
     noisy = points + 0.02 * rng.normal(size=points.shape)
     scatter = 0.5 * rng.normal(size=(n, dimension, dimension))
     covariances = scatter @ scatter.transpose(0, 2, 1) + np.eye(dimension)
+    colors = rng.uniform(size=(n, 3))
     for given in ((), (covariances, covariances)):
-        result = register_points(noisy, points + 0.1, *given)
-        print(hashlib.sha256(result.transformations.tobytes() + result.row_weights.tobytes()).hexdigest())
+        for method in ({}, {"sigma_rule": "nearest"}, {"color": True}):
+            result = register_points(
+                noisy, points + 0.1, *given,
+                estimation_method=TransformationEstimationForAdaptiveGMM(**method),
+                source_colors=colors, target_colors=colors,
+            )
+            print("bits", hashlib.sha256(result.transformations.tobytes() + result.row_weights.tobytes()).hexdigest())
+"""
+
+TWO_VERSIONS = """
+import numba, numpy as np
+
+def add(a, b, c):
+    for i in range(len(a)):
+        c[i] = a[i] * b[i] + a[i]
+
+for name, fastmath in (("fast", {"contract"}), ("exact", False)):
+    add.__name__ = add.__qualname__ = name
+    numba.njit(fastmath=fastmath)(add)(*np.ones((3, 100)))
 """
 
 
+@pytest.fixture(scope="module")
+def processes(tmp_path_factory):
+    """The same registrations by one process that compiles all of its kernels, and prints them, and one that finds them
+    compiled."""
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path_factory.mktemp("kernels"))}
+    return [
+        subprocess.run(
+            [sys.executable, "-c", REGISTER], env=environment | dump, capture_output=True, text=True, check=True
+        )
+        for dump in ({"NUMBA_DUMP_OPTIMIZED": "1"}, {})
+    ]
+
+
 @pytest.mark.slow
-def test_a_process_that_compiles_gets_the_bits_of_one_that_finds_kernels_compiled(tmp_path):
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    first, second = (
-        subprocess.run([sys.executable, "-c", REGISTER], env=environment, capture_output=True, text=True, check=True)
-        for _ in range(2)
-    )
+def test_a_process_that_compiles_gets_the_bits_of_one_that_finds_kernels_compiled(processes):
+    first, second = processes
     assert "compiling" in first.stderr and "compiling" not in second.stderr
-    assert len(first.stdout.split()) == 6 and first.stdout == second.stdout
+    bits = [[line for line in process.stdout.splitlines() if line.startswith("bits")] for process in processes]
+    assert len(bits[0]) == 18 and bits[0] == bits[1]
+
+
+@pytest.mark.slow
+def test_where_arrays_lie_does_not_decide_how_a_loop_rounds(processes):
+    module = processes[0].stdout
+    assert "run_em" in module and "adaptive_sums" in module and "vector.memcheck" in module
+    assert list(loops_by_address(module)) == []
+
+
+def test_a_loop_that_rounds_by_where_arrays_lie_is_found(tmp_path):
+    environment = os.environ | {"NUMBA_DUMP_OPTIMIZED": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
+    process = subprocess.run(
+        [sys.executable, "-c", TWO_VERSIONS], env=environment, capture_output=True, text=True, check=True
+    )
+    found = [name for name, _ in loops_by_address(process.stdout)]
+    assert len(found) == 1 and "fast" in found[0]
 
 
 def test_compiling_is_announced_once_and_only_where_there_is_some(tmp_path):

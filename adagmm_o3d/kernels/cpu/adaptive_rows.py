@@ -8,7 +8,7 @@ exponentials, is written where it is used: each device has an exponential of its
 import numpy as np
 from numba import njit, prange
 
-from adagmm_o3d.kernels.cpu.compiling import F0, F1, FLAGS, KERNEL_FLAGS, formulas, source_stamp
+from adagmm_o3d.kernels.cpu.compiling import F0, F1, FLAGS, KERNEL_FLAGS, POINTWISE_FLAGS, formulas, source_stamp
 from adagmm_o3d.kernels.cpu.culling import CLUSTER, CLUSTERS_PER_CHUNK, RUN, cluster_box, largest, next_run
 from adagmm_o3d.kernels.cpu.exp2 import exp2_float32
 from adagmm_o3d.kernels.cpu.moving import move_symmetric
@@ -125,11 +125,14 @@ def rows_isotropic(x, precisions, amplitudes, i, j, count, y, turned, weights, r
         rows[PULL + 2, k] += u2
 
 
-@njit(**FLAGS)
-def add_own_precision(rows, k, turned):
-    """Make Σ C (A + B) of source point k out of Σ C A, B its own precision."""
-    for i in range(6):
-        rows[PRECISION + i, k] += rows[WEIGHT, k] * turned[k, i]
+@njit(**POINTWISE_FLAGS)
+def finish_rows(rows, m0, m1, amplitudes, turned, row_weights):
+    """Make Σ C (A + B) of source points m0..m1 out of Σ C A, B their own precisions, and keep what each weighs."""
+    for m in range(m0, m1):
+        k = m - m0
+        row_weights[m] = amplitudes[m] * rows[WEIGHT, k]
+        for i in range(6):
+            rows[PRECISION + i, k] += rows[WEIGHT, k] * turned[k, i]
 
 
 def _build(stamp):
@@ -170,9 +173,7 @@ def _build(stamp):
                         rows_isotropic(x, a, target_amplitudes, i, j, m1 - m0, y, turned, weights, rows)
                     else:
                         rows_anisotropic(x, a, target_amplitudes, i, j, m1 - m0, y, turned, rows)
-                for m in range(m0, m1):
-                    row_weights[m] = amplitudes[m] * rows[WEIGHT, m - m0]
-                    add_own_precision(rows, m - m0, turned)
+                finish_rows(rows, m0, m1, amplitudes, turned, row_weights)
                 add_rows(rows, m1 - m0, amplitudes[m0:m1], y, total)
 
     return adaptive_sums

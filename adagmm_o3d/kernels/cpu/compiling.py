@@ -21,10 +21,15 @@ KERNEL = {"fastmath": FAST, "error_model": "numpy"}
 # calls its copy by name, the first one that the process has loaded is taken: fast arithmetic then gives other bits in a
 # process that compiles than in one that finds the kernels compiled. So none is called by name.
 FLAGS = {**KERNEL, "forceinline": True}
-# What is too small to be worth vector code keeps the order of its sums: all who call it get the same bits.
-EXACT_FLAGS = {"error_model": "numpy"}
+# What is too small to be worth vector code keeps the order of its sums: all who call it get the same bits. That has to
+# be said: what says nothing is compiled as the first that calls it.
+EXACT_FLAGS = {"error_model": "numpy", "fastmath": False}
+# So does a loop that writes what it has worked out for each point. Where the compiler cannot tell whether what is read
+# and what is written lie apart it makes two such loops, vector code and plain code, and takes one by where the arrays
+# happen to lie: fast arithmetic rounds differently in each.
+POINTWISE_FLAGS = {**EXACT_FLAGS, "forceinline": True}
 SERIAL_KERNEL_FLAGS = {"cache": find_a_folder(FunctionCache), "nogil": True, **KERNEL}
-EXACT_KERNEL_FLAGS = {key: value for key, value in SERIAL_KERNEL_FLAGS.items() if key != "fastmath"}
+EXACT_KERNEL_FLAGS = {**SERIAL_KERNEL_FLAGS, **EXACT_FLAGS}
 KERNEL_FLAGS = {"parallel": True, **SERIAL_KERNEL_FLAGS}
 F0, F1 = np.float32(0.0), np.float32(1.0)
 
@@ -66,11 +71,14 @@ def _announce() -> None:
 event.register("numba:compile", _Announcement())
 
 
-@njit(**FLAGS)
-def inverse_root(x):
-    """1/√x of a float32 or a float64, in its own type."""
-    return F1 / np.sqrt(x)
+def _formulas(flags):
+    @njit(**flags)
+    def inverse_root(x):
+        """1/√x of a float32 or a float64, in its own type."""
+        return F1 / np.sqrt(x)
+
+    return build(njit(**flags), inverse_root)
 
 
-# The formulas for the CPU.
-formulas = build(njit(**FLAGS), inverse_root)
+# The formulas for the CPU: for the sums over pairs, and for what is worked out point by point.
+formulas, pointwise_formulas = _formulas(FLAGS), _formulas(POINTWISE_FLAGS)

@@ -8,7 +8,7 @@ the same bits for any number of threads.
 import numpy as np
 from numba import njit
 
-from adagmm_o3d.kernels.cpu.compiling import F0, FAST, FLAGS, formulas
+from adagmm_o3d.kernels.cpu.compiling import F0, FLAGS, POINTWISE_FLAGS, pointwise_formulas
 
 TILE = 16
 GROUP = 32
@@ -18,7 +18,7 @@ CHUNK = CLUSTER * CLUSTERS_PER_CHUNK
 BLOCK = 32  # clusters that look for groups together
 RUN = 1024  # target points summed in float32 before float64 takes over
 
-rotate_point = formulas.rotate_point
+rotate_point = pointwise_formulas.rotate_point
 
 
 @njit(**FLAGS)
@@ -32,7 +32,7 @@ def gap_sq(lo, hi, box_lo, box_hi, i):
 
 
 # The larger of two is vector code only where NaN is ruled out; points are finite.
-REACH_FLAGS = {**FLAGS, "fastmath": FAST | {"nnan"}}
+REACH_FLAGS = {**POINTWISE_FLAGS, "fastmath": {"nnan", "nsz"}}
 
 
 @njit(**REACH_FLAGS)
@@ -114,7 +114,7 @@ def closest_tile(lo, hi, box_lo, box_hi, group_lo, group_hi):
     return closest
 
 
-@njit(**FLAGS)
+@njit(**POINTWISE_FLAGS)
 def cluster_box(pose, points, m0, m1, y, lo, hi):
     """Move source points m0..m1 into `y` and the corners of their box into `lo`, `hi`."""
     lo[:] = np.inf

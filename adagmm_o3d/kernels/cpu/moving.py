@@ -2,12 +2,12 @@
 
 from numba import njit
 
-from adagmm_o3d.kernels.cpu.compiling import F0, FLAGS, formulas
+from adagmm_o3d.kernels.cpu.compiling import F0, POINTWISE_FLAGS, pointwise_formulas
 
-rotate_symmetric = formulas.rotate_symmetric
+rotate_symmetric = pointwise_formulas.rotate_symmetric
 
 
-@njit(**FLAGS)
+@njit(**POINTWISE_FLAGS)
 def move_symmetric(pose, matrices, scale, isotropic, m, turned, k):
     """R S Rᵀ of matrix m times `scale`, packed, into row k of `turned`."""
     if isotropic:

@@ -121,7 +121,7 @@ CPU = {
         ("e += f * dot(dx, dy, dz, dx, dy, dz)", "e += c * dot(dx, dy, dz, dx, dy, dz)"),
         ("u2 += f * dz", "u2 += f * dy"),
         ("F1 / sigmas[0], isotropic", "F1 / sigmas[1], isotropic"),
-        ("row_weights[m] = amplitudes[m] * rows[WEIGHT, m - m0]", "row_weights[m] = rows[WEIGHT, m - m0]"),
+        ("row_weights[m] = amplitudes[m] * rows[WEIGHT, k]", "row_weights[m] = rows[WEIGHT, k]"),
         ("+= rows[WEIGHT, k] * turned[k, i]", "-= rows[WEIGHT, k] * turned[k, i]"),
         ("amplitudes[m0:m1], y, total", "amplitudes[: m1 - m0], y, total"),
         ("sigmas[0] * largest(variances, m0, m1)", "0.1 * sigmas[0] * largest(variances, m0, m1)"),

@@ -114,11 +114,12 @@ def _fuse(args: argparse.Namespace, recording: Recording, folder: Path) -> None:
     scene = scene_of(recording, args.moment)
     settings = Settings(max_depth_m=args.max_depth, target_points=args.target_points, device=args.device)
     edges: Sequence[Any] = ()
+    dropped: Sequence[Any] = ()
     if args.poses == "truth":
         poses = {index: recording.entries[index].T_world_camera for index in scene.places}
         poses = {index: pose for index, pose in poses.items() if pose is not None}
     else:
-        poses, edges = _estimated(recording, scene, settings, folder)
+        poses, edges, dropped = _estimated(recording, scene, settings, folder)
     placed = {index: poses[scene.place_of[index]] for index in scene.frames if scene.place_of[index] in poses}
     left_out = [recording.entries[index].name for index in scene.frames if index not in placed]
     with staged_progress_bar() as report:
@@ -137,32 +138,34 @@ def _fuse(args: argparse.Namespace, recording: Recording, folder: Path) -> None:
     shown = f"{', '.join(map(str, paths))}, {len(placed)} frames, {len(mesh.triangles)} triangles, {note}"
     print(printable(f"mesh: {shown}"))
     if not args.no_rerun:
-        _show(args, recording, mesh, scene, placed, edges)
+        from adagmm_fusion.rerun_log import FusedRecording
+
+        truth = {index: recording.entries[index].T_world_camera for index in placed}
+        fused = FusedRecording(
+            poses=placed,
+            sensors={index: recording.entries[index].sensor for index in scene.frames},
+            truth={index: pose for index, pose in truth.items() if pose is not None},
+            edges=edges,
+            dropped=dropped,
+            ends={index: poses[index] for index in scene.places if index in poses},
+            left_out=[index for index in scene.frames if index not in placed],
+        )
+        _show(args, recording, mesh, fused)
         if args.save:
             print(printable(f"Rerun recording: {args.save}"))
 
 
-def _show(
-    args: argparse.Namespace, recording: Recording, mesh: Any, scene: Any, placed: dict, edges: Sequence[Any]
-) -> None:
+def _show(args: argparse.Namespace, recording: Recording, mesh: Any, fused: Any) -> None:
     """Log the mesh, the frames and the registrations between them to Rerun, as the arguments say."""
-    from adagmm_fusion.rerun_log import FusedRecording, fused_blueprint, log_fused_recording, open_stream
+    from adagmm_fusion.rerun_log import fused_blueprint, log_fused_recording, open_stream
 
-    entries = recording.entries
-    poses = {index: entries[index].T_world_camera for index in placed}
-    fused = FusedRecording(
-        poses=placed,
-        sensors={index: entries[index].sensor for index in scene.frames},
-        truth={index: pose for index, pose in poses.items() if pose is not None},
-        edges=edges,
-        left_out=[index for index in scene.frames if index not in placed],
-    )
-    with open_stream(args, recording.name, fused_blueprint(mesh.vertices, placed)) as stream:
-        log_fused_recording(stream, mesh, fused, lambda index: entries[index].load())
+    with open_stream(args, recording.name, fused_blueprint(mesh.vertices, fused.poses)) as stream:
+        log_fused_recording(stream, mesh, fused, lambda index: recording.entries[index].load())
 
 
-def _estimated(recording: Recording, scene: Any, settings: Any, folder: Path) -> tuple[dict, list]:
-    """T_world_camera of the places that hold together, the first one's camera frame being the world; and the edges.
+def _estimated(recording: Recording, scene: Any, settings: Any, folder: Path) -> tuple[dict, list, list]:
+    """T_world_camera of the places that hold together, the first one's camera frame being the world; the edges, and
+    those of them that the pose graph dropped.
 
     What was found out about them is printed and written.
     """
@@ -194,7 +197,8 @@ def _estimated(recording: Recording, scene: Any, settings: Any, folder: Path) ->
     poses, dropped = optimized_poses(edges, first=sets[0][0])
     used = [edge for edge in file.edges if edge.usable]
     loops = sum(edge.loop_closure for edge in used)
-    print(f"registered: {len(used)} of {len(file.edges)}; may be wrong: {loops}, of which dropped as wrong: {dropped}")
+    registered = f"registered: {len(used)} of {len(file.edges)}"
+    print(f"{registered}; may be wrong: {loops}, of which dropped as wrong: {len(dropped)}")
     if len(sets) > 1:
         print(f"frames that hang together: sets of {', '.join(str(len(s)) for s in sets)}; the first is fused")
     if scene.rig:
@@ -203,7 +207,7 @@ def _estimated(recording: Recording, scene: Any, settings: Any, folder: Path) ->
         of_sensor = {index: pose for index, pose in poses.items() if entries[index].sensor == sensor}
         if scene.paths and of_sensor:
             _conclude_path(recording, of_sensor, path)
-    return poses, edges
+    return poses, edges, dropped
 
 
 def _digests(recording: Recording, scene: Any, report: Callable[[str, int, int], None]) -> list[list[str]]:

@@ -1,7 +1,7 @@
 """A whole recording, fused: its mesh, every frame's camera and image, the loops, and the way beside the true one."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import open3d as o3d
@@ -40,7 +40,9 @@ class FusedRecording:
 
     poses : T_world_camera (4, 4) of the frames that are placed, by their number.    sensors : of all frames.
     truth : true T_world_camera of those that have one, in a world of its own.
-    edges : the registrations between frames.
+    edges : the registrations between places: a moving sensor's frames, or the frame that stands for a fixed sensor.
+    dropped : those of them that the pose graph dropped as wrong.
+    ends : T_world_camera (4, 4) of the places.
     left_out : numbers of the frames without a pose.
     """
 
@@ -48,7 +50,18 @@ class FusedRecording:
     sensors: Mapping[int, str]
     truth: Mapping[int, np.ndarray]
     edges: Sequence[Edge] = ()
+    dropped: Sequence[Edge] = ()
+    ends: Mapping[int, np.ndarray] = field(default_factory=dict)
     left_out: Sequence[int] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeResidual:
+    """A usable edge between placed frames: how far the poses are from it, and whether the pose graph kept it."""
+
+    edge: Edge
+    off_mm: float
+    kept: bool
 
 
 def fused_blueprint(vertices: np.ndarray, poses: Mapping[int, np.ndarray]) -> rrb.Blueprint:
@@ -121,27 +134,22 @@ def aligned_truth(fused: FusedRecording) -> dict[int, np.ndarray]:
     return dict(zip(both, true @ T[:3, :3].T + T[:3, 3], strict=True))
 
 
-def edge_residuals(fused: FusedRecording) -> dict[tuple[int, int], tuple[float, bool]]:
-    """Of each usable edge between placed frames: how far [mm] the poses are from it, and whether it was kept.
-
-    A loop closure that is farther than the pose graph's tolerance is one that it dropped.
-    """
-    found = {}
+def edge_residuals(fused: FusedRecording) -> list[EdgeResidual]:
+    """How far the poses are from each usable edge between placed frames; those dropped are the pose graph's word."""
+    found, dropped = [], set(fused.dropped)
     for edge in fused.edges:
-        if edge.usable and edge.source in fused.poses and edge.target in fused.poses:
-            T = se_inverse(fused.poses[edge.target]) @ fused.poses[edge.source]
+        if edge.usable and edge.source in fused.ends and edge.target in fused.ends:
+            T = se_inverse(fused.ends[edge.target]) @ fused.ends[edge.source]
             off = float(np.linalg.norm(T[:3, 3] - edge.transformation[:3, 3]))
-            found[edge.source, edge.target] = (MILLIMETRES_PER_METRE * off, off <= LOOP_TOLERANCE_M)
+            found.append(EdgeResidual(edge, MILLIMETRES_PER_METRE * off, edge not in dropped))
     return found
 
 
-def fused_report(
-    fused: FusedRecording, residuals: Mapping[tuple[int, int], tuple[float, bool]], errors_mm: Mapping[int, float]
-) -> str:
+def fused_report(fused: FusedRecording, residuals: Sequence[EdgeResidual], errors_mm: Mapping[int, float]) -> str:
     """Markdown: how many frames are placed, what holds them together, how far they are off, the worst first."""
     frames = len(fused.poses) + len(fused.left_out)
-    refused = [edge for edge in fused.edges if not edge.usable]
-    dropped = [ends for ends, (_, kept) in residuals.items() if not kept]
+    refused = sum(not edge.usable for edge in fused.edges)
+    dropped = sum(not residual.kept for residual in residuals)
     lines = [f"### {len(fused.poses)} of {frames} frames fused", ""]
     if errors_mm:
         ate = np.sqrt(np.mean(np.square(list(errors_mm.values()))))
@@ -149,16 +157,13 @@ def fused_report(
         lines += [f"**ATE {ate:.1f} mm**, root mean square; worst: frame {worst}, {errors_mm[worst]:.0f} mm.", ""]
     if fused.left_out:
         lines += [f"Left out, their pose is not known: {', '.join(map(str, fused.left_out))}.", ""]
-    lines += [
-        f"{len(residuals) - len(dropped)} registrations used, {len(dropped)} dropped, {len(refused)} refused.",
-        "",
-    ]
+    lines += [f"{len(residuals) - dropped} registrations used, {dropped} dropped, {refused} refused.", ""]
     if residuals:
         lines += ["| source | target | off mm | |", "|--:|--:|--:|:--|"]
-        by_residual = sorted(residuals.items(), key=lambda item: -item[1][0])
-        lines += [
-            f"| {s} | {t} | {mm:.0f} | {'' if kept else '× dropped'} |" for (s, t), (mm, kept) in by_residual[:20]
-        ]
+        worst_first = sorted(residuals, key=lambda residual: (residual.kept, -residual.off_mm))
+        for residual in worst_first[:WORST_SHOWN]:
+            mark = "" if residual.kept else "× dropped"
+            lines.append(f"| {residual.edge.source} | {residual.edge.target} | {residual.off_mm:.0f} | {mark} |")
     return "\n".join(lines)
 
 
@@ -198,22 +203,17 @@ def _log_ways(rec: rr.RecordingStream, fused: FusedRecording, aligned: Mapping[i
                 rec.log(name, rr.Points3D(places, colors=color, radii=2 * width), static=True)
 
 
-def _log_edges(
-    rec: rr.RecordingStream, fused: FusedRecording, residuals: Mapping[tuple[int, int], tuple[float, bool]]
-) -> None:
+def _log_edges(rec: rr.RecordingStream, fused: FusedRecording, residuals: Sequence[EdgeResidual]) -> None:
     for name, wanted in (("kept", True), ("dropped", False)):
-        chosen = [(ends, mm) for ends, (mm, kept) in residuals.items() if kept == wanted]
+        chosen = [residual for residual in residuals if residual.kept == wanted]
         if not chosen:
             continue
-        strips = [[fused.poses[source][:3, 3], fused.poses[target][:3, 3]] for (source, target), _ in chosen]
-        residual_mm = np.array([mm for _, mm in chosen])
+        ends = np.array([(residual.edge.source, residual.edge.target) for residual in chosen])
+        strips = [[fused.ends[frame][:3, 3] for frame in pair] for pair in ends]
+        residual_mm = np.array([residual.off_mm for residual in chosen])
         colors = ramp_colors(residual_mm, MILLIMETRES_PER_METRE * LOOP_TOLERANCE_M, RESIDUAL_RAMP)
         lines = rr.LineStrips3D(strips, colors=colors if wanted else BAD_COLOR, radii=0.5 * line_width(fused))
-        numbers = rr.AnyValues(
-            source_frame=np.array([ends[0] for ends, _ in chosen]),
-            target_frame=np.array([ends[1] for ends, _ in chosen]),
-            residual_mm=residual_mm,
-        )
+        numbers = rr.AnyValues(source_frame=ends[:, 0], target_frame=ends[:, 1], residual_mm=residual_mm)
         rec.log(f"{entities.LOOPS}/{name}", lines, numbers, static=True)
 
 

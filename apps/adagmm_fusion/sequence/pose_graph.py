@@ -43,19 +43,21 @@ def chained_poses(edges: Iterable[Edge], first: int = 0) -> Poses:
     return poses
 
 
-def optimized_poses(edges: list[Edge], *, first: int = 0) -> tuple[Poses, int]:
-    """T_first_frame of each frame that can be reached, and how many loop closures were dropped as wrong."""
+def optimized_poses(edges: list[Edge], *, first: int = 0) -> tuple[Poses, list[Edge]]:
+    """T_first_frame of each frame that can be reached, and those of `edges` that were dropped: wrong loop closures."""
     start = chained_poses(edges, first)
     used = [edge for edge in edges if edge.usable and edge.source in start and edge.target in start]
     if len(start) <= MAX_NODES:
         return _optimized(start, used)
     fragments, dropped_inside = _fragments(start, used)
     fragment_of = {frame: number for number, fragment in enumerate(fragments) for frame in fragment}
-    between = [_between(edge, fragments, fragment_of) for edge in used if _crosses(edge, fragment_of)]
-    placed, dropped = _optimized(chained_poses(between, fragment_of[first]), between)
+    crossing = [edge for edge in used if _crosses(edge, fragment_of)]
+    between = [_between(edge, fragments, fragment_of) for edge in crossing]
+    placed, dropped_between = _optimized(chained_poses(between, fragment_of[first]), between)
+    dropped = [edge for edge, moved in zip(crossing, between, strict=True) if moved in dropped_between]
     poses = {frame: placed[fragment_of[frame]] @ fragments[fragment_of[frame]][frame] for frame in start}
     T_first_world = se_inverse(poses[first])
-    return {frame: T_first_world @ pose for frame, pose in poses.items()}, dropped + dropped_inside
+    return {frame: T_first_world @ pose for frame, pose in poses.items()}, dropped_inside + dropped
 
 
 def connected_sets(edges: Iterable[Edge], frames: Iterable[int]) -> list[list[int]]:
@@ -77,12 +79,12 @@ def connected_sets(edges: Iterable[Edge], frames: Iterable[int]) -> list[list[in
     return sorted(found.values(), key=len, reverse=True)
 
 
-def _fragments(start: Poses, used: list[Edge]) -> tuple[list[Poses], int]:
-    """Poses of each fragment's frames in the frame of its first, and how many loop closures were dropped.
+def _fragments(start: Poses, used: list[Edge]) -> tuple[list[Poses], list[Edge]]:
+    """Poses of each fragment's frames in the frame of its first, and the loop closures that were dropped.
 
     A fragment's frames follow each other and hang together.
     """
-    frames, fragments, dropped = sorted(start), [], 0
+    frames, fragments, dropped = sorted(start), [], []
     for i in range(0, len(frames), FRAGMENT_FRAMES):
         some = frames[i : i + FRAGMENT_FRAMES]
         for together in connected_sets(used, some):
@@ -113,10 +115,10 @@ def _between(edge: Edge, fragments: list[Poses], fragment_of: dict[int, int]) ->
     )
 
 
-def _optimized(start: Poses, used: list[Edge]) -> tuple[Poses, int]:
+def _optimized(start: Poses, used: list[Edge]) -> tuple[Poses, list[Edge]]:
     """The poses of a connected graph from where they are in `start`, whose first one stays; loop closures dropped."""
     if len(start) < 2 or len(used) < len(start):
-        return start, 0  # a tree: nothing contradicts anything
+        return start, []  # a tree: nothing contradicts anything
     nodes = {frame: i for i, frame in enumerate(start)}
     registration = o3d.pipelines.registration
     graph = registration.PoseGraph()
@@ -139,4 +141,22 @@ def _optimized(start: Poses, used: list[Edge]) -> tuple[Poses, int]:
         )
     T_first_world = se_inverse(np.asarray(graph.nodes[0].pose))
     poses = {frame: T_first_world @ np.asarray(graph.nodes[i].pose) for frame, i in nodes.items()}
-    return poses, len(used) - len(graph.edges)
+    return poses, _missing(used, nodes, graph.edges)
+
+
+def _missing(
+    used: list[Edge], nodes: dict[int, int], kept: o3d.pipelines.registration.PoseGraphEdgeVector
+) -> list[Edge]:
+    """Those of `used` that are not among the edges that Open3D has kept, in their order and as they were."""
+    missing, remaining = [], iter(kept)
+    following = next(remaining, None)
+    for edge in used:
+        if (
+            following is not None
+            and (following.source_node_id, following.target_node_id) == (nodes[edge.source], nodes[edge.target])
+            and np.array_equal(following.transformation, edge.transformation)
+        ):
+            following = next(remaining, None)
+        else:
+            missing.append(edge)
+    return missing

@@ -17,6 +17,7 @@ from adagmm_fusion.pairs.pipeline import register_pair
 from adagmm_fusion.pairs.record import PairRecord, pair_record
 from adagmm_fusion.pairs.report import Report, as_json, markdown, terminal_table, write_report
 from adagmm_fusion.pairs.settings import Settings
+from adagmm_fusion.pairs.stages import Stage
 from adagmm_fusion.recordings.opening import open_recording
 from adagmm_fusion.rigs.rig import load_rig, save_rig
 from adagmm_o3d.lie import so_exp
@@ -110,6 +111,24 @@ def test_the_terminal_table_keeps_units_and_names_as_they_are():
     text = output.getvalue()
     for expected in ("translation [mm]", "time [s]", "rotation [°]", "x[red]y", "failed", "12.2"):
         assert expected in text
+
+
+@pytest.mark.parametrize("name", ["a_to_b", "000000_right_to_left", "1311868164.363181_to_1311868164.399026"])
+def test_the_terminal_table_is_readable_at_80_columns(name):
+    """A pair has its errors, overlap, time and verdict on one line; only long names are folded, and nothing is cut."""
+    errors = {"identity": (41.26, 1629.0), "start": (11.81, 332.0), "end": (0.5, 12.25)}
+    stages = tuple(Stage(stage, "", np.eye(4).tolist(), *error) for stage, error in errors.items())
+    output = StringIO()
+    Console(file=output, width=80).print(terminal_table(report(replace(GOOD, pair=name, stages=stages), BAD), 80))
+    lines = output.getvalue().splitlines()
+    assert max(map(len, lines)) <= 80
+    (heading,) = [line.split() for line in lines if "verdict" in line]
+    assert heading == ["pair", "start", "end", "overlap", "time", "[s]", "verdict"]
+    (first,) = [i for i, line in enumerate(lines) if "332 mm" in line]
+    assert lines[first].split()[1:] == ["11.81°", "332", "mm", "0.50°", "12", "mm", "0.81", "0.25", "ok"]
+    (last,) = [i for i, line in enumerate(lines) if "b_to_c" in line]
+    shown = [lines[first].split()[0], *(line.strip() for line in lines[first + 1 : last])]
+    assert "".join(shown) == name and len(shown) == (1 if len(name) <= 20 else 2)
 
 
 def test_a_record_has_the_numbers_of_its_outcome(outcome):

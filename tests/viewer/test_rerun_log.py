@@ -29,10 +29,15 @@ from adagmm_fusion.rerun_log import (
     log_refused_pair,
     open_stream,
 )
+from adagmm_fusion.rerun_log.blueprint import STAGES
 from adagmm_fusion.rerun_log.ellipsoids import chosen_points
 from adagmm_fusion.rerun_log.eyes import ASPECT, FIELD_OF_VIEW, eye_pose
+from adagmm_fusion.rerun_log.guide import GUIDE
 from adagmm_fusion.rerun_log.headless_viewer import RERUN
+from adagmm_fusion.rerun_log.iterations import CURVES
 from adagmm_fusion.rerun_log.matches import projected
+from adagmm_fusion.rerun_log.summary import HEADINGS, HINT, LEGEND
+from adagmm_fusion.rerun_log.words import entity_part, shown
 from adagmm_o3d import registration_adaptive_gmm
 
 MEGABYTE = 1e6
@@ -326,7 +331,7 @@ def test_summary_is_sorted_with_the_worst_first(three_pairs):
     assert lines[2] == "| 1 | ×▲ | 0.00 | 500 | 0.10 | 20 | 15.00 | 200 | – | – | – | – | – | – |"
     reasons = [line for line in text[0].splitlines() if line.startswith("- **")]
     assert reasons == ["- **2** pair_2: no depth.", "- **1** pair_1: slid along the wall.", "- **0** pair_0: ok."]
-    assert "▲ 1 ended worse than they started." in text[0].splitlines()
+    assert "▲ 1 ended worse than it started." in text[0].splitlines()
 
 
 def test_the_summary_of_a_run_that_goes_on_says_how_long(tmp_path):
@@ -386,6 +391,18 @@ def test_properties(tmp_path):
     path = save(tmp_path / "properties.rrd", log)
     assert rows(path, "__properties/input", "sensors").values == [["left", "right"]]
     assert rows(path, "__properties/parameters", "voxel_size_m").values == [["0.03"]]
+
+
+def test_words_that_the_viewer_has_no_glyphs_for_are_escaped():
+    assert shown("a_b 0.5° → σ ✔ ▲ äéß Σ Жук log₁₀\n") == "a_b 0.5° → σ ✔ ▲ äéß Σ Жук log₁₀\n"
+    assert shown("漢\u202e😀\x1b\ud800") == "\\u6f22\\u202e\\U0001f600\\x1b\\ud800"
+    assert shown(shown("漢")) == shown("漢")
+    assert entity_part("left/漢") == "left\\/\\\\u6f22"
+
+
+def test_what_we_write_ourselves_is_not_escaped():
+    texts = [GUIDE, *(text for text, _ in CURVES.values()), *(name for name in STAGES), *HEADINGS, LEGEND, HINT]
+    assert [text for text in texts if shown(text) != text] == []
 
 
 def test_a_vga_pair_of_50_iterations_stays_within_its_budget(tmp_path):

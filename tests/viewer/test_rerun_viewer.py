@@ -4,6 +4,7 @@ import argparse
 
 import cv2
 import numpy as np
+import psutil
 import pytest
 from registered_scene import ITERATIONS, known_estimate, room_clouds, room_mesh, room_pair
 from viewer import complaints, eventually, needs_viewer, screenshot
@@ -214,6 +215,29 @@ def test_many_pairs(tmp_path):
         screenshot(viewer, AFTER)  # only a painted frame knows the transforms of a timeline that is new to the viewer
         assert_pose(viewer, "world/source", known_estimate(1, off=(0.5, 0.0, 0.0)).transformations[3])
         assert complaints(viewer) == []
+
+
+def test_names_in_any_script_can_be_shown(tmp_path):
+    """Without an escape, the viewer ends at the first character that its font lacks."""
+    name = "漢字 مرحبا 😀 हिन्दी \u2028 \ue000 \x07 \U0010ffff"
+    parser = argparse.ArgumentParser()
+    add_rerun_arguments(parser)
+    path = tmp_path / "names.rrd"
+    with open_stream(parser.parse_args(["--save", str(path)]), name, dashboard()) as rec:
+        log_refused_pair(rec, name, f"no depth in {name}")
+    with headless_viewer(path) as viewer:
+        viewer.run_command("ui.toggle_blueprint_panel")  # where the recording's name is
+        show_page(viewer, "Pair")
+        screenshot(viewer)
+        assert complaints(viewer) == []
+        (report,) = [view for view in viewer.get_state().views if view.name == "Report"]
+        assert report.visible
+
+
+def test_the_viewer_for_pictures_listens_on_loopback_only(pair_viewer):
+    family = psutil.Process().children(recursive=True)
+    listening = [c.laddr for p in family for c in p.net_connections() if c.status == psutil.CONN_LISTEN]
+    assert listening and {place.ip for place in listening} == {"127.0.0.1"}
 
 
 def test_picture_command(tmp_path, capfd):

@@ -113,10 +113,13 @@ def terminal_table(report: Report, width: int = FULL_WIDTH) -> Table:
     columns, row = (COLUMNS, _row) if full else (SHORT_COLUMNS, _short_row)
     # Text, not str: rich would take a unit in brackets for markup.
     title = Text(f"{report.recording}: {report.headline()}")
-    table = Table(title=title, title_justify="left", box=HEAVY_HEAD if full else SIMPLE_HEAD, padding=(0, 1))
+    looks = {"box": HEAVY_HEAD} if full else {"box": SIMPLE_HEAD, "collapse_padding": True, "pad_edge": False}
+    table = Table(title=title, title_justify="left", padding=(0, 1), **looks)
     for index, name in enumerate(columns):
         last = index == len(columns) - 1
-        table.add_column(Text(name), justify="left" if index == 0 or last else "right", overflow="fold")
+        table.add_column(
+            Text(name), justify="left" if index == 0 or last else "right", overflow="fold", no_wrap=index > 0
+        )
     for record in report.records:
         cells = list(map(Text, row(record)))
         if record.worse_than_start:

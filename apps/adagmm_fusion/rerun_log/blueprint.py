@@ -17,7 +17,8 @@ STAGES = {
     "End": SOURCE,
 }
 COVARIANCES = {TARGET.points: DIMMED, TARGET.covariances: None, SOURCE.covariances: None}
-MARKS = (entities.DIFFERENCE, f"{entities.DIFFERENCE}/label", entities.UNOBSERVABLE)
+UNOBSERVABLE = (entities.UNOBSERVABLE, f"{entities.UNOBSERVABLE}/label")
+MARKS = (entities.DIFFERENCE, f"{entities.DIFFERENCE}/label", *UNOBSERVABLE)
 RESULT = dict.fromkeys((entities.FUSED, *(sensor.image for sensor in SENSORS), *MARKS))
 
 
@@ -102,7 +103,7 @@ def _why_page() -> rrb.Vertical:
     )
     columns = [
         rrb.Vertical(
-            scene(name, {TARGET.points: DIMMED, SOURCE.points: layer, entities.UNOBSERVABLE: None}, entities.EYE),
+            scene(name, {TARGET.points: DIMMED, SOURCE.points: layer} | dict.fromkeys(UNOBSERVABLE), entities.EYE),
             legend(legend_entity, LEGEND_SIZE),
             row_shares=[7, 1],
         )

@@ -29,11 +29,9 @@ def log_difference(
         colors=BAD_COLOR if bad else DIFFERENCE_COLOR,
     )
     when.log(rec, entities.DIFFERENCE, arrow)
-    # The viewer writes a label in its owner's colour, on a box whose colour is its theme's: white is read on both.
     words = f"{angle_deg:.2f}°, {distance_mm:.0f} mm off{': bad' if bad else ''}"
     middle = 0.5 * (T_estimate[:3, 3] + T_truth[:3, 3])
-    label = rr.Points3D([middle], colors=LABEL_COLOR, radii=0.0, labels=words, show_labels=True)
-    when.log(rec, f"{entities.DIFFERENCE}/label", label)
+    when.log(rec, f"{entities.DIFFERENCE}/label", _labels(middle[None], [words]))
 
 
 def log_unobservable(
@@ -58,12 +56,13 @@ def log_unobservable(
         off_axis = radius * np.cross(turn, slide) / (turn @ turn) if turns else 0.0
         origins.append(target.mean(axis=0) + off_axis)
         labels.append("free: turns about this axis" if turns else "free: slides this way")
-    arrows = rr.Arrows3D(
-        origins=np.array(origins),
-        vectors=np.array(vectors),
-        radii=ARROW_RADIUS,
-        colors=UNOBSERVABLE_COLOR,
-        labels=labels,
-        show_labels=True,
-    )
+    starts, along = np.array(origins), np.array(vectors)
+    arrows = rr.Arrows3D(origins=starts, vectors=along, radii=ARROW_RADIUS, colors=UNOBSERVABLE_COLOR)
     when.log(rec, entities.UNOBSERVABLE, arrows)
+    when.log(rec, f"{entities.UNOBSERVABLE}/label", _labels(starts + 0.5 * along, labels))
+
+
+def _labels(places: np.ndarray, words: Sequence[str]) -> rr.Points3D:
+    """Words at places (n, 3). The viewer writes a label in its owner's colour, on a box whose colour is its theme's:
+    white is read on both."""
+    return rr.Points3D(places, colors=LABEL_COLOR, radii=0.0, labels=words, show_labels=True)

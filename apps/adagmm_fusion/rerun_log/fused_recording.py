@@ -20,6 +20,7 @@ from adagmm_fusion.rerun_log.legends import RESIDUAL_RAMP, ramp_colors
 from adagmm_fusion.rerun_log.meshes import TWO_SIDED, log_textured_mesh
 from adagmm_fusion.rerun_log.views import Eye, curve, image, scene
 from adagmm_fusion.rerun_log.when import When
+from adagmm_fusion.rerun_log.words import entity_part, markdown
 from adagmm_fusion.sequence.edges import Edge
 from adagmm_fusion.sequence.pose_graph import LOOP_TOLERANCE_M
 from adagmm_fusion.sequence.trajectory_errors import align_rigid
@@ -121,7 +122,7 @@ def log_fused_recording(
     }
     _log_frames(rec, fused, errors_mm, load)
     text = fused_report(fused, residuals, errors_mm)
-    rec.log(entities.REPORT, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+    rec.log(entities.REPORT, markdown(text), static=True)
 
 
 def aligned_truth(fused: FusedRecording) -> dict[int, np.ndarray]:
@@ -191,7 +192,7 @@ def _log_ways(rec: rr.RecordingStream, fused: FusedRecording, aligned: Mapping[i
     width = line_width(fused)
     for sensor in dict.fromkeys(fused.sensors.values()):
         frames = [frame for frame in sorted(fused.poses) if fused.sensors[frame] == sensor]
-        entity = f"{entities.WAYS}/{sensor}"
+        entity = f"{entities.WAYS}/{entity_part(sensor)}"
         ways = {
             entity: (np.array([fused.poses[frame][:3, 3] for frame in frames]), SOURCE_COLOR),
             f"{entity}/truth": (np.array([aligned[frame] for frame in frames if frame in aligned]), TRUTH_COLOR),

@@ -3,6 +3,7 @@
 import rerun as rr
 
 from adagmm_fusion.rerun_log import entities
+from adagmm_fusion.rerun_log.words import markdown
 
 GUIDE = """### How to read this
 
@@ -46,4 +47,4 @@ meet.
 
 def log_guide(rec: rr.RecordingStream) -> None:
     """Log the page, once."""
-    rec.log(entities.GUIDE, rr.TextDocument(GUIDE, media_type=rr.MediaType.MARKDOWN), static=True)
+    rec.log(entities.GUIDE, markdown(GUIDE), static=True)

@@ -6,7 +6,6 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-import rerun as rr
 import rerun.blueprint as rrb
 
 from adagmm_fusion.errors import OutputError
@@ -15,6 +14,7 @@ from adagmm_fusion.rerun_arguments import add_rerun_arguments
 from adagmm_fusion.rerun_log import entities
 from adagmm_fusion.rerun_log.headless_viewer import RERUN
 from adagmm_fusion.rerun_log.streams import open_stream
+from adagmm_fusion.rerun_log.words import markdown
 
 
 def save_joint_recording(path: Path, title: str, overview: str, recordings: Sequence[Path]) -> None:
@@ -27,8 +27,7 @@ def save_joint_recording(path: Path, title: str, overview: str, recordings: Sequ
         view = rrb.TextDocumentView(name="All recordings: pick one on the left", origin=entities.SUMMARY_TABLE)
         blueprint = rrb.Blueprint(view, rrb.TimePanel(state="hidden"), auto_layout=False, auto_views=False)
         with open_stream(parser.parse_args(["--save", str(first)]), f"{title}: all recordings", blueprint) as rec:
-            document = rr.TextDocument(overview, media_type=rr.MediaType.MARKDOWN)
-            rec.log(entities.SUMMARY_TABLE, document, static=True)
+            rec.log(entities.SUMMARY_TABLE, markdown(overview), static=True)
         with replacing(path) as temporary:
             command = [str(RERUN), "rrd", "merge", str(first), *map(str, recordings), "-o", str(temporary)]
             done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -4,6 +4,7 @@ import rerun as rr
 
 from adagmm_fusion.rerun_log import entities
 from adagmm_fusion.rerun_log.when import When
+from adagmm_fusion.rerun_log.words import shown
 from adagmm_o3d.result import PointRegistrationResult
 
 
@@ -20,4 +21,4 @@ def log_messages(
         lines.append((rr.TextLogLevel.ERROR, f"{pair_name}: {reason}"))
     last = 0 if estimate is None else len(estimate.transformations) - 1
     for level, text in lines:
-        when.log_event(rec, entities.LOG, last, rr.TextLog(text, level=level))
+        when.log_event(rec, entities.LOG, last, rr.TextLog(shown(text), level=level))

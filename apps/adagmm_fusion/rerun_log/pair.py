@@ -36,6 +36,7 @@ from adagmm_fusion.rerun_log.overlay import log_overlay
 from adagmm_fusion.rerun_log.stages import log_stage_styles, log_stages
 from adagmm_fusion.rerun_log.verdict import DEFAULT_LIMITS, Limits, pair_report
 from adagmm_fusion.rerun_log.when import When
+from adagmm_fusion.rerun_log.words import markdown
 from adagmm_o3d.result import PointRegistrationResult
 
 # A camera is drawn this large about its place.
@@ -132,7 +133,7 @@ def log_pair(
             diagnosis=diagnosis,
             seconds=seconds,
         )
-    when.log(rec, entities.REPORT, rr.TextDocument(report, media_type=rr.MediaType.MARKDOWN))
+    when.log(rec, entities.REPORT, markdown(report))
     log_messages(rec, pair.name, estimate, reason, when)
     return em_step + rows
 
@@ -161,7 +162,7 @@ def log_refused_pair(
     when.clear(rec, entities.MATCHES)
     log_guide(rec)
     report = pair_report(name, None, (), status="failed", reason=reason)
-    when.log(rec, entities.REPORT, rr.TextDocument(report, media_type=rr.MediaType.MARKDOWN))
+    when.log(rec, entities.REPORT, markdown(report))
     log_messages(rec, name, None, reason, when)
     return em_step + 1
 
@@ -175,8 +176,8 @@ def _log_eyes(
     T_estimate: np.ndarray,
     when: When,
 ) -> None:
-    """Eyes that see the target, and the source at its start and at its end; one of them the sensors as well."""
-    clouds = [target, *(source @ T[:3, :3].T + T[:3, 3] for T in (T_initial, T_estimate))]
+    """Eyes that see the target, and the source at every stage; one of them the sensors as well."""
+    clouds = [target, source, *(source @ T[:3, :3].T + T[:3, 3] for T in (T_initial, T_estimate))]
     log_eye(rec, entities.EYE, clouds, when)
     poses = [np.eye(4), T_initial, T_estimate, *([] if pair.T_target_source is None else [pair.T_target_source])]
     log_eye(

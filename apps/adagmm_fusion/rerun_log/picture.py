@@ -89,7 +89,8 @@ def save_picture(
         viewer.run_command("ui.toggle_top_panel")
         window = screenshot(viewer)[TOP_BAR_PX:]
     try:
-        complete, data = cv2.imencode(picture.suffix, window[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+        quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if picture.suffix.lower() in (".jpg", ".jpeg") else []
+        complete, data = cv2.imencode(picture.suffix, window[:, :, ::-1], quality)
     except cv2.error as error:
         raise OutputError(f"{picture}: expected a name ending in .jpg or .png") from error
     if not complete:

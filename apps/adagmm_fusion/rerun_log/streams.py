@@ -18,6 +18,7 @@ import rerun as rr
 from adagmm_fusion.errors import OutputError
 from adagmm_fusion.files.atomic_file import check_output_file, replacing
 from adagmm_fusion.processes.interruption import Terminated, exit_code, heard_afterwards, signals_as_interrupts
+from adagmm_fusion.rerun_log.words import shown
 
 APPLICATION_ID = "adagmm_fusion"
 LOOPBACK = "127.0.0.1"
@@ -62,7 +63,7 @@ def open_stream(args: argparse.Namespace, name: str, blueprint: Any = None) -> I
     """
     with heard_afterwards():  # one that is half made prints a traceback when it is thrown away
         rec = rr.RecordingStream(APPLICATION_ID)
-    rec.send_recording_name(name)
+    rec.send_recording_name(shown(name))
     with contextlib.ExitStack() as stack:
         if args.stdout:
             rec.stdout(default_blueprint=blueprint)

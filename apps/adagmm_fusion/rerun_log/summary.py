@@ -10,6 +10,7 @@ import rerun as rr
 from adagmm_fusion.pairs.record import PairRecord
 from adagmm_fusion.pairs.stages import END, IDENTITY, START
 from adagmm_fusion.rerun_log import entities
+from adagmm_fusion.rerun_log.words import markdown
 
 MARKS = {"ok": "✔", "failed": "×"}
 WORSE = "▲"  # the viewer has no coloured signs
@@ -43,7 +44,7 @@ def log_recording_summary(
 ) -> None:
     """Log the table of all pairs so far, in place of the one before."""
     text = summary_markdown(records, title, progress)
-    rec.log(entities.SUMMARY_TABLE, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+    rec.log(entities.SUMMARY_TABLE, markdown(text), static=True)
 
 
 def summary_markdown(records: Sequence[PairRecord], title: str, progress: Progress | None = None) -> str:
@@ -59,7 +60,7 @@ def summary_markdown(records: Sequence[PairRecord], title: str, progress: Progre
         translation = np.median([record.translation_error_mm for record in known])
         lines += [f"Median errors: **{rotation:.2f}°**, **{translation:.0f} mm**.", ""]
     if worse:
-        lines += [f"{WORSE} {worse} ended worse than they started.", ""]
+        lines += [f"{WORSE} {worse} ended worse than {'it' if worse == 1 else 'they'} started.", ""]
     lines += ["| " + " | ".join(HEADINGS) + " |", "|--:|:--" + "|--:" * (len(HEADINGS) - 2) + "|"]
     ordered = sorted(enumerate(records), key=lambda numbered: _badness(numbered[1]), reverse=True)
     lines += [_row(frame, record) for frame, record in ordered]

@@ -74,7 +74,8 @@ def pair_report(
     if seconds is not None:
         lines += [f"{seconds:.2f} s."]
     if estimate.unobservable:
-        lines += ["", f"**{len(estimate.unobservable)} direction(s) not determined by the clouds**: see the arrows."]
+        free = len(estimate.unobservable)
+        lines += ["", f"**{free} direction{'s' * (free > 1)} not determined by the clouds**: see the arrows."]
     lines += ["", *(f"- **Warning:** {warning}" for warning in estimate.warnings), "", name]
     return "\n".join(lines)
 

@@ -12,6 +12,7 @@ from adagmm_fusion.rerun_log.colors import BAD_COLOR, LABEL_COLOR, SOURCE_COLOR,
 from adagmm_fusion.rerun_log.entities import Sensor
 from adagmm_fusion.rerun_log.views import Eye, scene
 from adagmm_fusion.rerun_log.when import When
+from adagmm_fusion.rerun_log.words import entity_part, markdown
 from adagmm_fusion.rigs.checking import MOVED, SensorCheck
 from adagmm_fusion.rigs.rig import Rig
 
@@ -42,11 +43,11 @@ def log_verified_rig(rec: rr.RecordingStream, checks: Sequence[SensorCheck], rig
     lines = []
     for check in checks:
         lines += ["", *_log_check(rec, check, rig)]
-    rec.log(entities.REPORT, rr.TextDocument("\n".join(lines[1:]), media_type=rr.MediaType.MARKDOWN), static=True)
+    rec.log(entities.REPORT, markdown("\n".join(lines[1:])), static=True)
 
 
 def _log_check(rec: rr.RecordingStream, check: SensorCheck, rig: Rig) -> list[str]:
-    root = f"{RIG}/{check.target}/{check.source}"
+    root = f"{RIG}/{entity_part(check.target)}/{entity_part(check.source)}"
     T_rig = rig.T_target_source(check.target, check.source)
     color = FOUND_COLORS[check.verdict == MOVED]
     placed = {"target": (np.eye(4), check.target, TARGET_CAMERA_COLOR), "rig": (T_rig, check.source, TRUTH_COLOR)}

@@ -1,11 +1,13 @@
 """Our reader of .mat files against SciPy's writer, and against damage of every kind."""
 
+import zlib
+
 import numpy as np
 import pytest
 import scipy.io
 
 from adagmm_fusion.errors import RecordingError
-from adagmm_fusion.formats.matlab_file import read_variable
+from adagmm_fusion.formats.matlab_file import read_variable, variable_names
 
 RNG = np.random.default_rng(0)
 ARRAYS = {
@@ -34,13 +36,14 @@ def test_what_scipy_writes_is_read(tmp_path, compress):
 
 def test_what_is_not_there_or_of_another_kind(tmp_path):
     path = tmp_path / "a.mat"
-    scipy.io.savemat(path, {"text": "words", "complex": np.array([1j]), "nested": {"a": {"b": 1.0}}, "x": 1.0})
+    deep = {"a": {"b": {"c": {"d": {"e": 1.0}}}}}
+    scipy.io.savemat(path, {"text": "words", "complex": np.array([1j]), "deep": deep, "x": 1.0})
     with pytest.raises(RecordingError, match="there is no variable 'y' in it"):
         read_variable(path, "y")
     for name, match in (
         ("text", "text is not a real numeric"),
         ("complex", "complex is not"),
-        ("nested", "in a struct"),
+        ("deep", "more than 4 structures are in each other"),
     ):
         with pytest.raises(RecordingError, match=match):
             read_variable(path, name)
@@ -48,6 +51,36 @@ def test_what_is_not_there_or_of_another_kind(tmp_path):
         read_variable(tmp_path / "b.mat", "x")
     with pytest.raises(RecordingError, match="cannot be read"):
         read_variable(tmp_path, "x")
+
+
+@pytest.mark.parametrize("compress", [False, True])
+def test_structures_in_structures_are_read_without_their_text(tmp_path, compress):
+    path = tmp_path / "a.mat"
+    values = {"camera": {"K": np.eye(3), "units": "mm"}, "name": "left", "R": np.ones((2, 2))}
+    scipy.io.savemat(path, {"rig": values, "x": 1.0}, do_compression=compress)
+    assert variable_names(path) == ["rig", "x"]
+    fields = read_variable(path, "rig")
+    assert fields.keys() == {"camera", "R"} and fields["camera"].keys() == {"K"}
+    assert np.array_equal(fields["camera"]["K"], np.eye(3)) and np.array_equal(fields["R"], np.ones((2, 2)))
+
+
+def element(kind: int, data: bytes) -> bytes:
+    return np.array([kind, len(data)], "<u4").tobytes() + data + b"\0" * (-len(data) % 8)
+
+
+@pytest.mark.parametrize("compress", [False, True])
+def test_an_object_of_a_class_is_named(tmp_path, compress):
+    flags = element(6, np.array([17, 0], "<u4").tobytes())
+    matrix = flags + element(1, b"stereoParams") + element(1, b"MCOS") + element(1, b"stereoParameters")
+    data = element(14, matrix)
+    if compress:
+        packed = zlib.compress(data)
+        data = np.array([15, len(packed)], "<u4").tobytes() + packed
+    path = tmp_path / "a.mat"
+    path.write_bytes(b" " * 124 + b"\x00\x01IM" + data)
+    assert variable_names(path) == ["stereoParams"]
+    with pytest.raises(RecordingError, match="stereoParams is an object of a class of MATLAB's; make it a structure"):
+        read_variable(path, "stereoParams")
 
 
 @pytest.mark.parametrize("compress", [False, True])

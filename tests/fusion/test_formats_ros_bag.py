@@ -79,11 +79,12 @@ def unregistered():
     ]
 
 
-def test_depth_of_its_own_camera_is_registered_by_tf_static(tmp_path):
+@pytest.mark.parametrize("kind", ["ros1", "sqlite3"])
+def test_depth_of_its_own_camera_is_registered_by_tf_static(tmp_path, kind):
     """The tree goes from the link to each camera, as drivers publish it."""
     T_link_depth = camera_pose(30.0)
     transforms = [(LINK, FRAME, T_link_depth @ se_inverse(T_COLOR_DEPTH)), (LINK, "/depth_frame", T_link_depth)]
-    frame = open_recording(write_ros_bag(tmp_path / "desk", "sqlite3", unregistered(), transforms))[0].source
+    frame = open_recording(write_ros_bag(tmp_path / "desk", kind, unregistered(), transforms))[0].source
     off = np.abs(frame.depth_m() - render(COLOR, POSES[1])[1])
     assert frame.intrinsics == COLOR and np.isfinite(off).mean() > 0.8 and np.nanpercentile(off, 95) < 0.02
 

@@ -124,16 +124,76 @@ def test_a_matlab_stereo_calibration(tmp_path, changes, capsys):
     is_the_rig(tmp_path, ("left", "right"))
 
 
-def test_the_cameras_of_a_ros_bag(tmp_path):
+def write_stereo_parameters(path, *, new=False, **changes):
+    """As toStruct of MATLAB's stereoParameters has it: points are rows, pixels are counted from 1."""
+    values = {"Version": {"Release": "(R2023a)"}, "RectificationParams": {"Initialized": False}}
+    for i, k in enumerate((LEFT, RIGHT), 1):
+        K = k.matrix()
+        K[:2, 2] += 1.0
+        radial, tangential = [k.distortion[0], k.distortion[1], 0.0], k.distortion[2:4]
+        camera = {"RadialDistortion": np.array(radial), "TangentialDistortion": np.array(tangential)}
+        camera |= {"ImageSize": np.array([480.0, 640.0]), "WorldUnits": "millimeters", "WorldPoints": np.zeros((0, 2))}
+        values[f"CameraParameters{i}"] = camera | ({"K": K} if new else {"IntrinsicMatrix": K.T})
+    T = se_inverse(POSES[1])
+    values |= {"RotationOfCamera2": T[:3, :3].T, "TranslationOfCamera2": 1000.0 * T[:3, 3]}
+    scipy.io.savemat(path, {"stereoParams": values | changes})
+
+
+@pytest.mark.parametrize("new", [False, True])
+def test_matlabs_stereo_parameters(tmp_path, new):
+    write_stereo_parameters(tmp_path / "rig.mat", new=new)
+    assert convert(tmp_path, tmp_path / "rig.mat", "--length-unit", "mm") == 0
+    is_the_rig(tmp_path, ("camera1", "camera2"))
+
+
+def write_multical(path, *, master=None, **changes):
+    cameras, poses = {}, {}
+    for i, k in enumerate(CAMERAS):
+        lens = [[*(k.distortion or (0.0,) * 4), 0.0]]
+        size = [k.width, k.height]
+        cameras[f"cam{i}"] = {"model": "standard", "image_size": size, "K": k.matrix().tolist(), "dist": lens}
+        T = se_inverse(T_WORLD[i]) @ (np.eye(4) if master is None else T_WORLD[master])
+        key = f"cam{i}" if master in (None, i) else f"cam{i}_to_cam{master}"
+        poses[key] = {"R": T[:3, :3].tolist(), "T": T[:3, 3].tolist()}
+    cameras["cam0"] |= changes
+    path.write_text(json.dumps({"cameras": cameras, "camera_poses": poses, "image_sets": {"rgb": []}}))
+
+
+@pytest.mark.parametrize("master", [None, 0, 1])
+def test_multicals_calibration(tmp_path, master):
+    write_multical(tmp_path / "calibration.json", master=master)
+    assert convert(tmp_path, tmp_path / "calibration.json") == 0
+    is_the_rig(tmp_path, ("cam0", "cam1", "cam2"))
+
+
+def bag_of_cameras(path, kind, transforms=(), **more):
     small = [np.zeros((240, 320, 3), np.uint8)], [np.ones((240, 320), np.uint16)]
     streams = []
     for i in range(2):
         streams.append((f"/cam_{i}/color/image_raw", f"cam_{i}", THIRD, "rgb8", small[0]))
         streams.append((f"/cam_{i}/aligned_depth_to_color/image_raw", f"cam_{i}", THIRD, "16UC1", small[1]))
-    transforms = [("base", f"cam_{i}", T_WORLD[i]) for i in range(2)]
-    bag = write_ros_bag(tmp_path / "rig", "mcap", streams, transforms)
+    return write_ros_bag(path, kind, streams, transforms, **more)
+
+
+def test_the_cameras_of_a_ros_bag(tmp_path):
+    bag = bag_of_cameras(tmp_path / "rig", "mcap", [("base", f"cam_{i}", T_WORLD[i]) for i in range(2)])
     assert convert(tmp_path, bag) == 0
     is_the_rig(tmp_path, ("cam_0", "cam_1"), (THIRD, THIRD))
+
+
+@pytest.mark.parametrize("kind", ["ros1", "mcap"])
+def test_transforms_that_are_published_again_and_again_and_stand_still(tmp_path, kind):
+    moments = [[("odom", "base", pose((0, 0, i), (i, 0, 0))), ("base", "cam_1", T_WORLD[1])] for i in range(3)]
+    bag = bag_of_cameras(tmp_path / "rig", kind, [("base", "cam_0", T_WORLD[0])], repeated=moments)
+    assert convert(tmp_path, bag) == 0
+    is_the_rig(tmp_path, ("cam_0", "cam_1"), (THIRD, THIRD))
+
+
+def test_a_camera_that_moves_against_the_other_has_no_pose(tmp_path, capsys):
+    moments = [[("base", "cam_1", pose((0, 0, angle), (0.3, 0, 0)))] for angle in (0.0, 0.01)]
+    bag = bag_of_cameras(tmp_path / "rig", "mcap", [("base", "cam_0", T_WORLD[0])], repeated=moments)
+    assert convert(tmp_path, bag) == 0
+    assert "the pose of cam_1 is unknown" in capsys.readouterr().out
 
 
 def test_what_cannot_be_used_is_one_line(tmp_path, capsys):
@@ -152,6 +212,11 @@ def test_what_cannot_be_used_is_one_line(tmp_path, capsys):
     (tmp_path / "open3d.json").write_text(broken)
     write_matlab(tmp_path / "skew.mat", alpha_c_left=0.1)
     write_matlab(tmp_path / "short.mat", kc_left=np.zeros(3))
+    write_stereo_parameters(tmp_path / "turned.mat", RotationOfCamera2=2.0 * np.eye(3))
+    write_stereo_parameters(tmp_path / "one.mat", CameraParameters2=np.eye(3))
+    write_multical(tmp_path / "multical.json", model="fisheye")
+    text = (tmp_path / "multical.json").read_text().replace("fisheye", "standard")
+    (tmp_path / "two.json").write_text(text.replace('"cam1": {"R"', '"cam7": {"R"'))
     (tmp_path / "notes.txt").write_text("no rig")
     for name, message in (
         ("fish.yaml", "expected radtan or none, got equidistant"),
@@ -161,6 +226,10 @@ def test_what_cannot_be_used_is_one_line(tmp_path, capsys):
         ("open3d.json", "parameters[0]: extrinsic: expected 16 finite numbers"),
         ("skew.mat", "alpha_c_left: expected no skew"),
         ("short.mat", "kc_left: expected (5,) finite numbers"),
+        ("turned.mat", "RotationOfCamera2"),
+        ("one.mat", "expected the structures CameraParameters1 and CameraParameters2"),
+        ("multical.json", "cameras: cam0: model: expected standard, rational"),
+        ("two.json", "camera_poses: there is no pose of cam1"),
         ("notes.txt", "expected Kalibr's camchain, Open3D's camera trajectory"),
     ):
         assert convert(tmp_path, tmp_path / name, "--size", "640x480") == 1, name
@@ -169,10 +238,11 @@ def test_what_cannot_be_used_is_one_line(tmp_path, capsys):
     assert not (tmp_path / "rig.yaml").exists()
 
 
-@pytest.mark.parametrize("name", ["camchain.yaml", "cameras.json", "stereo.mat", "sparse"])
+@pytest.mark.parametrize("name", ["camchain.yaml", "cameras.json", "stereo.mat", "rig.mat", "multi.json", "sparse"])
 def test_damage_is_an_error_of_ours(tmp_path, name):
     path = tmp_path / name
     writers = {"camchain.yaml": camchain, "cameras.json": write_open3d, "stereo.mat": write_matlab}
+    writers |= {"rig.mat": write_stereo_parameters, "multi.json": write_multical}
     writers.get(name, lambda folder: write_colmap(folder, 1.0))(path)
     files = [path] if path.is_file() else sorted(path.iterdir())
     whole, rng = {file: file.read_bytes() for file in files}, np.random.default_rng(2)

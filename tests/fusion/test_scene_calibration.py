@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from shared_data import ROOT
+from shared_data import ROOT, shared_data
 
 from adagmm_fusion.cli import main
 from adagmm_fusion.rigs.rig import load_rig
@@ -79,6 +79,16 @@ def test_the_shipped_rig_is_found_without_a_board(tmp_path, capsys):
     covariance = np.array(written["covariances"][second])
     assert np.linalg.eigvalsh(covariance)[0] > 0.0
     assert written["disagreeing"] == []
+
+
+def test_two_xtions_are_placed_without_a_board(tmp_path, capsys):
+    folder = shared_data("recordings/two_xtion_rig")
+    assert main(["calibrate", "--from-scene", str(folder), "--output", str(tmp_path / "rig.yaml")]) == 0
+    assert "2 of 2 pairs registered" in capsys.readouterr().out
+    reference = np.loadtxt(folder / "recording" / "T_cam1_to_cam2_reference.txt")
+    errors = pose_errors(reference, load_rig(tmp_path / "rig.yaml").T_target_source("camera2", "camera1"))
+    # The reference, from image features, is good to 1 degree and 60 mm.
+    assert errors.rotation_deg < 1.0 and errors.translation < 0.06
 
 
 def test_one_that_does_not_say_from_what_or_both_is_wrong_usage(capsys):

@@ -7,22 +7,26 @@ import numpy as np
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
 FIRST_TIME = 10**18
 KINDS = ("ros1", "sqlite3", "mcap")
 
 
-def write_ros_bag(path: Path, kind: str, streams, transforms=(), *, interval_ns: int = 33_000_000) -> Path:
+def write_ros_bag(path: Path, kind: str, streams, transforms=(), *, repeated=(), interval_ns: int = 33_000_000) -> Path:
     """Write a bag; returns the path to read: a .bag file, or ROS 2's folder.
 
     streams : (topic, frame_id, intrinsics or None, encoding, images), the image k at k · interval_ns.
     transforms : (parent, child, T_parent_child) of /tf_static.
+    repeated : lists of such transforms, one a message of /tf.
     encoding : ROS's, or "jpeg" and "compressedDepth 16UC1", "compressedDepth 32FC1".
     """
     ros1 = kind == "ros1"
     types = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    if ros1:
+        for name in ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"):
+            types.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", name))
     serialize = types.serialize_ros1 if ros1 else types.serialize_cdr
 
     def message(name, *values):
@@ -79,6 +83,10 @@ def write_ros_bag(path: Path, kind: str, streams, transforms=(), *, interval_ns:
 
         if transforms:
             put("/tf_static", FIRST_TIME, message("tf2_msgs/msg/TFMessage", [transform(*t) for t in transforms]))
+        for number, some in enumerate(repeated):
+            name = "tf/msg/tfMessage" if ros1 else "tf2_msgs/msg/TFMessage"  # what publishers of /tf sent in ROS 1
+            content = message(name, [transform(*t) for t in some])
+            put("/tf", FIRST_TIME + number * interval_ns, content)
         for number in range(max(len(images) for *_, images in streams)):
             for topic, frame, k, encoding, images in streams:
                 time = FIRST_TIME + number * interval_ns

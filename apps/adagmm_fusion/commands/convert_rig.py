@@ -12,9 +12,9 @@ METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 def add(commands: argparse._SubParsersAction) -> None:
     text = (
         "Make a rig file of calibrations that ROS (camera_info YAML) or OpenCV (FileStorage) wrote, or of one file of "
-        "all cameras: Kalibr's camchain, Open3D's camera trajectory, COLMAP's text model, a MATLAB stereo calibration, "
-        "or a ROS bag. The first sensor is the rig's frame. Where the others are comes from --stereo, or from the "
-        "rectification that ROS files hold; else it is unknown."
+        "all cameras: Kalibr's camchain, Open3D's camera trajectory, COLMAP's text model, multical's calibration.json, "
+        "a MATLAB stereo calibration, or a ROS bag. The first sensor is the rig's frame. Where the others are comes "
+        "from --stereo, or from the rectification that ROS files hold; else it is unknown."
     )
     command = commands.add_parser(
         "convert-rig", help="make a rig file of other programs' calibrations", description=text

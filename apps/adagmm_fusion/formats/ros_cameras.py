@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag2 import Reader as Reader2
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from adagmm_fusion.errors import RecordingError, one_line
 from adagmm_fusion.files.input_file import check_input
@@ -17,7 +17,9 @@ from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.rigs.rig import SENSOR_NAME
 from adagmm_o3d.errors import InputError
 
-TF_STATIC = "/tf_static"
+TF, TF_STATIC = "/tf", "/tf_static"
+# Messages of transforms that rosbags does not know of ROS 1: tf2's, and those of tf before it.
+ROS1_TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 OPENCV_MODELS = ("plumb_bob", "rational_polynomial", "")
 
 
@@ -35,6 +37,8 @@ class RosBag:
             check_input(path, RecordingError)
         ros1 = path.suffix.lower() == ".bag"
         self._types = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+        for name in ROS1_TRANSFORMS if ros1 else ():
+            self._types.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", name))
         self._deserialize = self._types.deserialize_ros1 if ros1 else self._types.deserialize_cdr
         with self._guarded("is no ROS bag, or cut off or damaged"):
             self._reader: Any = Reader1(path) if ros1 else Reader2(path)
@@ -88,7 +92,8 @@ class RosBag:
         if T is None:
             raise RecordingError(
                 f"{self.path}: {camera.name}: the depth is not registered to the colour, and no tf_static says where "
-                f"{frames[1][:60]} is in {frames[0][:60]}; record /tf_static or the registered depth topic"
+                f"{frames[1][:60]} is in {frames[0][:60]}, nor does what stands still in /tf; record /tf_static or the "
+                "registered depth topic"
             )
         return T
 
@@ -147,11 +152,13 @@ class RosBag:
     def _tf(self) -> StaticTransforms:
         if self._transforms is None:
             transforms = StaticTransforms()
-            for message in self._messages(TF_STATIC):
-                try:
-                    transforms.add(message)
-                except InputError as problem:
-                    raise RecordingError(f"{self.path}: {TF_STATIC}: {problem}") from problem
+            for topic, add in ((TF_STATIC, transforms.add), (TF, transforms.add_repeated)):
+                for message in self._messages(topic):
+                    try:
+                        add(message)
+                    except InputError as problem:
+                        raise RecordingError(f"{self.path}: {topic}: {problem}") from problem
+            transforms.settle()
             self._transforms = transforms
         return self._transforms
 

@@ -4,8 +4,8 @@
     fc_right, ...                                       the same of the right camera
     R (3x3) or om (3), T (3)                            x_right = R x_left + T, in the unit of the board's squares
 
-It does not hold the images' size. MATLAB's own stereoParameters are objects, which no .mat of numbers has. Source:
-Bouguet's toolbox.
+It does not hold the images' size. MATLAB's own stereoParameters are read by `rigs.matlab_parameters`. Source: Bouguet's
+toolbox.
 """
 
 from pathlib import Path

@@ -2,12 +2,15 @@
 
 from pathlib import Path
 
-from adagmm_fusion.errors import RigError
+from adagmm_fusion.errors import RecordingError, RigError
 from adagmm_fusion.files.input_file import read_input
+from adagmm_fusion.formats.matlab_file import read_variable, variable_names
 from adagmm_fusion.rigs.colmap import read_colmap
 from adagmm_fusion.rigs.imported import ImportedSensor
 from adagmm_fusion.rigs.kalibr import read_kalibr
+from adagmm_fusion.rigs.matlab_parameters import VARIABLE, stereo_parameters
 from adagmm_fusion.rigs.matlab_stereo import read_matlab_stereo
+from adagmm_fusion.rigs.multical import read_multical
 from adagmm_fusion.rigs.open3d_cameras import read_open3d_cameras
 from adagmm_fusion.rigs.ros_bag_rig import read_ros_bag_rig
 
@@ -21,7 +24,8 @@ def read_rig_file(
 
     Parameters
     ----------
-    metres_per_unit : of COLMAP's and MATLAB's lengths, which have no unit.    size : (width, height), for MATLAB's.
+    metres_per_unit : of COLMAP's, multical's and MATLAB's lengths, which have no unit.    size : (width, height), for
+        the Camera Calibration Toolbox's.
 
     Raises
     ------
@@ -34,13 +38,26 @@ def read_rig_file(
     if suffix in BAGS or (path.is_dir() and (path / "metadata.yaml").is_file()):
         return read_ros_bag_rig(path)
     if suffix == ".mat":
-        return read_matlab_stereo(path, metres_per_unit, size)
+        return _read_matlab(path, metres_per_unit, size)
     start = read_input(path, RigError, count=4096)
     if suffix in (".yaml", ".yml") and b"cam0" in start:
         return read_kalibr(path)
+    if suffix == ".json" and b'"camera_poses"' in read_input(path, RigError):
+        return read_multical(path, metres_per_unit)
     if suffix == ".json" and (b"extrinsic" in start or b"PinholeCamera" in start):
         return read_open3d_cameras(path)
     raise RigError(
-        f"{path}: expected Kalibr's camchain, Open3D's camera trajectory, COLMAP's folder, a MATLAB stereo calibration "
-        "or a ROS bag; the calibration of one camera is given as SENSOR=FILE"
+        f"{path}: expected Kalibr's camchain, Open3D's camera trajectory, COLMAP's folder, multical's "
+        "calibration.json, a MATLAB stereo calibration or a ROS bag; the calibration of one camera is given as "
+        "SENSOR=FILE"
     )
+
+
+def _read_matlab(path: Path, metres_per_unit: float, size: tuple[int, int] | None) -> dict[str, ImportedSensor]:
+    """MATLAB's own stereoParameters, or those of the Camera Calibration Toolbox."""
+    try:
+        if VARIABLE not in variable_names(path):
+            return read_matlab_stereo(path, metres_per_unit, size)
+        return stereo_parameters(path, read_variable(path, VARIABLE), metres_per_unit)
+    except RecordingError as problem:
+        raise RigError(str(problem)) from problem

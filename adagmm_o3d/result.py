@@ -78,7 +78,8 @@ class Verdict:
     on the other's surface; and of those near it, in units of that share between the halves of one cloud.   margin : by
     how much the pose explains the clouds better than half a turn from there [nats per point]; infinity where that is
     the same.   scale : factor by which the source would have to be scaled, where its size is clearly another one, else
-    None.   belief : the probability that the pose is right.
+    None.   mirrored : whether the mirror image of the source fits clearly better; the margin is over that then.
+    belief : the probability that the pose is right.
     """
 
     evidence: float
@@ -86,6 +87,7 @@ class Verdict:
     relative: float | None = None
     margin: float | None = None
     scale: float | None = None
+    mirrored: bool = False
     belief: float | None = None
 
 
@@ -261,6 +263,8 @@ def _objections(verdict: Verdict) -> list[str]:
     reasons = []
     if verdict.evidence < LEAST_EVIDENCE:
         reasons.append("the clouds explain each other no better than a chance fit would")
+    elif verdict.mirrored:
+        reasons.append("the mirror image of the source fits better: one of the clouds has an axis the wrong way round")
     elif verdict.belief is not None and verdict.belief < LEAST_BELIEF:
         if verdict.margin is not None and verdict.margin < LEAST_MARGIN:
             reasons.append("half a turn from here the clouds fit as well or better: a nearly symmetric shape")

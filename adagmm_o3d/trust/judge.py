@@ -90,6 +90,11 @@ class Judge:
         which a small bias of a sensor does not matter."""
         return float(_evidence(self.sides, [pose], self.sigma * coarser)[0]) - VIOLATION * self._violations(pose)
 
+    def explained(self, sides: tuple[MergedMixture, MergedMixture], poses: list[Array]) -> Array:
+        """(k,) the same of other mixtures in place of its own, at the finest scale; from where they were seen plays no
+        part."""
+        return _evidence(sides, poses, self.sigma)
+
     def _violations(self, pose: Array) -> float:
         share = 0.0
         for seen, asked, motion in zip(self._seen[::-1], self._asked, (pose, se_inverse(pose)), strict=True):

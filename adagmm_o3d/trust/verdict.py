@@ -19,9 +19,10 @@ from dataclasses import replace
 import numpy as np
 
 from adagmm_o3d.arguments import Array
-from adagmm_o3d.result import Verdict
+from adagmm_o3d.result import LEAST_BELIEF, Verdict
 from adagmm_o3d.trust.agreement import Surface, agreement
-from adagmm_o3d.trust.judge import Judge
+from adagmm_o3d.trust.judge import JUDGED, Judge
+from adagmm_o3d.trust.mirror import fit_mirror_image
 from adagmm_o3d.trust.rivals import half_turned
 from adagmm_o3d.trust.scale import estimate_scale
 
@@ -29,6 +30,10 @@ from adagmm_o3d.trust.scale import estimate_scale
 LEAST_POINTS = 30
 # The margin of a rival counts within these bounds, and shares from this one up.
 MARGINS, LEAST = (-0.5, 0.5), 0.05
+# By so much the mirror image of the source has to explain the clouds better [nats per point], and so much more of both
+# clouds has to agree, to speak against a pose of so many points; of fewer by more, as chance grows with the root of it.
+# Bodies that are their own image reach 0.1 and 0.01, of 240 points 0.5 and 0.1.
+MIRRORED, MORE, OF_POINTS = 0.15, 0.04, 2 * JUDGED
 # Of the signs in their order, and the constant.
 WEIGHTS, CONSTANT = (11.9, 3.0, 6.9), 0.5
 
@@ -47,6 +52,18 @@ def weigh(judge: Judge, pose: Array, *, turned: bool) -> Verdict:
     scale = estimate_scale(source, target, pose, sides[0].dimension)
     if scale is not None and scale.differs:
         verdict = replace(verdict, scale=1.0 / scale.factor if turned else scale.factor)
+    verdict = replace(verdict, belief=believe(signs(verdict)))
+    if verdict.belief is None or verdict.belief < LEAST_BELIEF:
+        return verdict
+    image = fit_mirror_image(judge, pose)
+    chance = math.sqrt(OF_POINTS / sum(len(side.points) for side in sides))
+    if image.margin < chance * MIRRORED:
+        return verdict
+    reflected = Surface(image.source.points, sides[0].dimension)
+    if agreement(reflected, target, image.pose).share < agreed.share + chance * MORE:
+        return verdict
+    # a rival like half a turn
+    verdict = replace(verdict, mirrored=True, margin=min(margin, -image.margin))
     return replace(verdict, belief=believe(signs(verdict)))
 
 

@@ -26,6 +26,7 @@ install_system_packages() {
     apt-get update -qq
     # shellcheck disable=SC2086
     DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $missing >/dev/null
+    trap - EXIT
 }
 
 # Prints a Python of 3.11 to 3.14 that can make virtual environments; the distribution's on a fresh machine.

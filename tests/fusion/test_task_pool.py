@@ -15,6 +15,7 @@ from adagmm_fusion.processes.task_pool import SchedulerError, TaskFailure, Worke
 from adagmm_o3d.errors import InputError
 
 DEAD_SCHEDULER = "tcp://127.0.0.1:9"
+PATIENCE_S = 120  # on a busy machine
 
 
 def square(x):
@@ -128,10 +129,22 @@ def test_fewer_than_one_worker_is_refused(workers):
 @pytest.fixture(scope="module")
 def cluster():
     distributed = pytest.importorskip("distributed", reason="needs the [distributed] extra")
-    with distributed.LocalCluster(
-        n_workers=3, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
-    ) as local:
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        distributed.LocalCluster(
+            n_workers=3, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
+        ) as local,
+    ):
+        patch.setattr(task_pool, "CONNECT_SECONDS", PATIENCE_S)
         yield local
+
+
+def until(happened):
+    """Wait for what must come."""
+    end = time.monotonic() + PATIENCE_S
+    while not happened():
+        assert time.monotonic() < end
+        time.sleep(0.01)
 
 
 @pytest.mark.slow
@@ -143,6 +156,22 @@ def test_a_cluster_survives_the_death_of_a_worker_in_mid_run(cluster):
         if killed is None:
             killed = pid
             os.kill(pid, signal.SIGKILL)
+    assert results == {key: i * i for key, i in tasks.items()}
+
+
+@pytest.mark.slow
+def test_results_that_a_dead_worker_still_held_are_worked_out_anew(cluster):
+    """All tasks have ended, one result has been fetched; then the worker that holds it and others dies."""
+    tasks = {str(i): i for i in range(12)}
+    scheduler = cluster.scheduler
+    running = run_tasks(slow_square, tasks, scheduler=cluster.scheduler_address)
+    key, (pid, value) = next(running)
+    results = {key: value}
+    until(lambda: all(task.state == "memory" for task in list(scheduler.tasks.values())))
+    address = next(nanny.worker_address for nanny in cluster.workers.values() if nanny.pid == pid)
+    os.kill(pid, signal.SIGKILL)
+    until(lambda: address not in scheduler.workers)
+    results |= {key: value for key, (_, value) in running}
     assert results == {key: i * i for key, i in tasks.items()}
 
 

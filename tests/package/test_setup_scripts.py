@@ -107,6 +107,21 @@ def test_root_installs_them(debian):
     assert (debian / "asked").read_text() == "apt-get\napt-get\n"
 
 
+def test_what_root_has_installed_is_not_missing_when_something_else_fails(debian):
+    stand_in(debian / "stand_ins" / "id", "echo 0")
+    done = bash(debian, 'install_system_packages "$LIBRARIES"; false')
+    assert done.returncode == 1 and done.stderr == ""
+
+
+def test_what_apt_could_not_install_is_told_last(debian):
+    stand_in(debian / "stand_ins" / "id", "echo 0")
+    stand_in(debian / "stand_ins" / "apt-get", 'echo "no network" >&2; exit 100')
+    done = bash(debian, 'install_system_packages "$LIBRARIES"; install_project apps')
+    assert done.returncode == 100
+    assert done.stderr.splitlines()[-1] == "system libraries are missing: sudo apt-get install libegl1"
+    assert not (debian / "asked").exists()
+
+
 def test_the_demo_runs_without_a_network_once_it_is_set_up(debian):
     stand_in(debian / "stand_ins" / "dpkg-query", "echo install ok installed")
     stand_in(debian / ".venv" / "bin" / "adagmm-fusion", f'echo "adagmm-fusion $@" >>{debian}/asked')

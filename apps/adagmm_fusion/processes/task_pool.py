@@ -203,7 +203,7 @@ def _environment(values: Mapping[str, str]) -> Iterator[None]:
 
 def _run_on_cluster(function: Callable, tasks: Mapping[str, Any], address: str) -> Iterator[tuple[str, Any]]:
     try:
-        from dask.distributed import Client, as_completed
+        from dask.distributed import CancelledError, Client, as_completed
     except ImportError as error:
         raise InputError(f"scheduler: needs dask.distributed ({error}); install the [distributed] extra") from error
     _check_scheduler(address)
@@ -218,14 +218,16 @@ def _run_on_cluster(function: Callable, tasks: Mapping[str, Any], address: str) 
             for key, task in tasks.items()
         }
         for future in as_completed(list(futures), loop=client.loop):
-            key = futures.pop(future)
-            if future.status == "finished":
-                yield key, future.result()
-            elif future.status == "error":
-                yield key, _failure(future.exception())
-            else:
-                left = len(futures) + 1
-                raise SchedulerError(f"scheduler: lost {address} with {left} tasks left; run again to go on")
+            try:
+                # `future.status` would not do: a result that nobody has fetched dies with its worker, and is made anew.
+                result = future.result()
+            except CancelledError as error:
+                raise SchedulerError(
+                    f"scheduler: lost {address} with {len(futures)} tasks left; run again to go on"
+                ) from error
+            except Exception as error:
+                result = _failure(error)
+            yield futures.pop(future), result
 
 
 def _check_scheduler(address: str) -> None:

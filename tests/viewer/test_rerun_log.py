@@ -36,7 +36,7 @@ from adagmm_fusion.rerun_log.guide import GUIDE
 from adagmm_fusion.rerun_log.headless_viewer import RERUN
 from adagmm_fusion.rerun_log.iterations import CURVES
 from adagmm_fusion.rerun_log.matches import projected
-from adagmm_fusion.rerun_log.summary import HEADINGS, HINT, LEGEND
+from adagmm_fusion.rerun_log.summary import HEADINGS, HINT, LEGEND, summary_markdown
 from adagmm_fusion.rerun_log.words import entity_part, shown
 from adagmm_o3d import registration_adaptive_gmm
 
@@ -342,6 +342,7 @@ def test_the_summary_of_a_run_that_goes_on_says_how_long(tmp_path):
 
     (text,) = rows(save(tmp_path / "on.rrd", log), "summary/table", "TextDocument:text").values
     assert "**1 of 10 done, about 2 min 05 s left.**" in text[0].splitlines()
+    assert summary_markdown([], "Summary", Progress(10, 0.0)).startswith("### Summary: 10 pairs to register\n")
 
 
 def test_points_tell_their_numbers(one_pair):
@@ -355,6 +356,17 @@ def test_points_tell_their_numbers(one_pair):
     moved = np.asarray(source.points)[partner >= 0] @ T[:3, :3].T + T[:3, 3]
     gaps = np.linalg.norm(moved - np.asarray(target.points)[partner[partner >= 0]], axis=1)
     assert (1000.0 * gaps + 1e-6 >= values["residual_mm"][partner >= 0]).all()  # along the normal it is less
+    layers = ("WeightShare", "ResidualMm", "Overlap", "ColorSupport")
+    types = {
+        str(field.name): field.metadata[b"rerun:component_type"]
+        for chunk in RrdReader(one_pair).stream().to_chunks()
+        if chunk.entity_path == "/world/source/points"
+        for field in chunk.to_record_batch().schema
+        if str(field.name).endswith(":colors")
+    }
+    assert {types[f"{layer}:colors"] for layer in layers} == {
+        b"rerun.components.Color"
+    }  # else they are told as numbers
     expected = 1e6 * known_estimate().sigma * np.trace(np.asarray(source.covariances), axis1=1, axis2=2) / 3.0
     np.testing.assert_allclose(values["variance_mm2"], expected, rtol=1e-9, atol=0.0)
 

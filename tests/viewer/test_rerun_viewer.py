@@ -21,6 +21,7 @@ from adagmm_fusion.rerun_log import (
 from adagmm_fusion.rerun_log.headless_viewer import headless_viewer
 from adagmm_fusion.rerun_log.picture import TOP_BAR_PX, main, show_page
 from adagmm_fusion.rerun_log.picture import screenshot as picture_of
+from adagmm_o3d.errors import InputError
 
 pytestmark = [needs_viewer, pytest.mark.slow]
 RESULT = "Result: cameras truth green, estimate orange, start blue"
@@ -215,6 +216,20 @@ def test_many_pairs(tmp_path):
         screenshot(viewer, AFTER)  # only a painted frame knows the transforms of a timeline that is new to the viewer
         assert_pose(viewer, "world/source", known_estimate(1, off=(0.5, 0.0, 0.0)).transformations[3])
         assert complaints(viewer) == []
+
+
+def test_a_view_behind_tabs_and_a_point_can_be_shown(tmp_path):
+    path = save(tmp_path / "pair.rrd", lambda rec: log_pair(rec, room_pair(), *room_clouds(), known_estimate()))
+    pictures = []
+    for more in ([], ["--page", "Target depth"], ["--page", "Target depth", "--select", "world/source/points[#7]"]):
+        out = tmp_path / f"{len(pictures)}.png"
+        assert main([str(path), str(out), *more]) == 0
+        pictures.append(cv2.imread(str(out)))
+    images, panel = (slice(60, 240), slice(920, 1270)), (slice(0, 680), slice(985, 1280))
+    assert difference(pictures[0][images], pictures[1][images]) > 0.2
+    assert difference(pictures[1][panel], pictures[2][panel]) > 0.2
+    with headless_viewer(path) as viewer, pytest.raises(InputError, match=r"page: expected one of .*, got 'Nowhere'"):
+        show_page(viewer, "Nowhere")
 
 
 def test_names_in_any_script_can_be_shown(tmp_path):

@@ -198,6 +198,7 @@ class _Viewer:
         self._next_frame, self._em_step = 0, 0
         self._before: RGBDPair | None = None
         self._pair_count, self._began, self._summarized = pair_count, time.monotonic(), 0
+        self.summarize([])
 
     def log(self, outcome: PairOutcome, fused: TexturedMesh | None, records: list[PairRecord]) -> None:
         """Log an outcome and, in a recording of many pairs, the summary so far; its record is the last one."""
@@ -233,10 +234,10 @@ class _Viewer:
 
     def summarize(self, records: list[PairRecord], *, finished: bool = False) -> None:
         """Log the first page again, with the time left while the run goes on."""
-        if not self._many or not records:
+        if not self._many:
             return
         self._summarized = len(records)
-        left = (time.monotonic() - self._began) * (self._pair_count / len(records) - 1.0)
+        left = (time.monotonic() - self._began) * (self._pair_count / max(len(records), 1) - 1.0)
         progress = None if finished else Progress(self._pair_count, left)
         log_recording_summary(self._stream, records, progress=progress)
 

@@ -5,6 +5,7 @@ entity, which the blueprint maps onto the points of that view.
 """
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import open3d as o3d
@@ -75,10 +76,14 @@ def log_points(
     InputError  if there are not N colours or numbers; Rerun itself would go on with the last one.
     """
     positions = np.ascontiguousarray(points, dtype=np.float32)
-    archetypes = [rr.Points3D(positions, colors=_checked(entity, colors, len(positions)), radii=point_radius(points))]
+    archetypes: list[Any] = [
+        rr.Points3D(positions, colors=_checked(entity, colors, len(positions)), radii=point_radius(points))
+    ]
     for layer, layer_colors in (layers or {}).items():
         batch = rr.components.ColorBatch(_checked(f"{entity}:{layer}", layer_colors, len(positions)))
-        archetypes.append(rr.DynamicArchetype(layer, components={"colors": batch}))
+        # Without its type the viewer would tell a colour as a number.
+        named = rr.ComponentDescriptor(f"{layer}:colors", archetype=layer, component_type="rerun.components.Color")
+        archetypes.append([batch.described(named)])
     for name, numbers in (values or {}).items():
         if np.shape(numbers) != (len(positions),):
             raise InputError(

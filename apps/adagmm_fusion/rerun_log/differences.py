@@ -55,7 +55,7 @@ def log_unobservable(
         # A turn about an axis elsewhere is a turn about the centroid and a slide.
         off_axis = radius * np.cross(turn, slide) / (turn @ turn) if turns else 0.0
         origins.append(target.mean(axis=0) + off_axis)
-        labels.append("free: turns about this axis" if turns else "free: slides this way")
+        labels.append("free to turn" if turns else "free to slide")
     starts, along = np.array(origins), np.array(vectors)
     arrows = rr.Arrows3D(origins=starts, vectors=along, radii=ARROW_RADIUS, colors=UNOBSERVABLE_COLOR)
     when.log(rec, entities.UNOBSERVABLE, arrows)

@@ -16,6 +16,7 @@ DIRECTION = np.array((0.4, -0.6, -1.0)) / np.linalg.norm((0.4, -0.6, -1.0))
 # Of each cloud so much is in the picture, on each side of the middle: a few points far away would make the rest small.
 SHOWN_PERCENT = (2.0, 98.0)
 MARGIN = 0.85
+LEAST_DISTANCE_M = 0.1
 
 
 def log_eye(rec: rr.RecordingStream, entity: str, clouds: list[np.ndarray], when: When) -> None:
@@ -38,10 +39,10 @@ def eye_pose(clouds: list[np.ndarray]) -> np.ndarray:
         low, high = np.percentile(cloud, SHOWN_PERCENT, axis=0)
         kept.append(cloud[((cloud >= low) & (cloud <= high)).all(axis=1)] if len(cloud) > 20 else cloud)
     points = np.concatenate(kept) @ T[:3, :3]
-    # As far back as the widest point needs, seen from the middle.
-    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    slope = np.tan(0.5 * FIELD_OF_VIEW) * MARGIN
-    sideways = np.abs(points - middle)[:, :2] / np.array((slope * ASPECT, slope))
-    back = float(np.max(sideways.max(axis=1) - (points - middle)[:, 2]))
-    T[:3, 3] = T[:3, :3] @ (middle - (0.0, 0.0, max(back, 0.1)))
+    # Both sides of the picture touch the points, or its top and its bottom, whichever needs the eye farther back.
+    z = points[:, 2]
+    slope = np.tan(0.5 * FIELD_OF_VIEW) * MARGIN * np.array((ASPECT, 1.0))
+    above, below = ((side * points[:, :2] - slope * z[:, None]).max(axis=0) for side in (1.0, -1.0))
+    back = float(np.max(0.5 * (above + below) / slope))
+    T[:3, 3] = T[:3, :3] @ (*(0.5 * (above - below)), min(-back, z.min() - LEAST_DISTANCE_M))
     return T

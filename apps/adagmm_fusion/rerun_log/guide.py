@@ -34,8 +34,8 @@ the plots is where you are.
 - *spread*: standard deviation of a point, as the registration takes it; it shrinks as the clouds come together.
   Ellipsoids are three standard deviations
 
-**Points.** Click on one: the panel on the right (top right button) tells its weight, residual, partner and
-variance. Features in the images tell how many pixels the end is off at them.
+**Points.** Click on one: the panel on the right (top right button) tells its weight, residual, partner
+(−1: none) and variance. Features in the images tell how many pixels the end is off at them.
 
 **Why.** *Who pulls*: dark points count for nothing, bright ones decide. *How far off*: green to red, grey
 without partner. *Who has a partner*: green has one, grey is out of sight, red is contradicted.

@@ -5,7 +5,6 @@ import rerun as rr
 
 from adagmm_fusion.pairs.spread import spread_mm
 from adagmm_fusion.rerun_log import entities
-from adagmm_fusion.rerun_log.colors import SOURCE_COLOR
 from adagmm_fusion.rerun_log.when import When
 from adagmm_o3d.result import PointRegistrationResult
 
@@ -13,8 +12,8 @@ CURVES = {
     entities.ENERGY: ("energy", (90, 160, 255)),
     entities.SIGMA: ("σ [unit²]", (200, 120, 255)),
     entities.SPREAD_MM: ("spread [mm]", (200, 120, 255)),
-    entities.ROTATION_ERROR_DEG: ("rotation error [°]", SOURCE_COLOR),
-    entities.TRANSLATION_ERROR_MM: ("translation error [mm]", SOURCE_COLOR),
+    entities.ROTATION_ERROR_DEG: ("rotation error [°]", (170, 120, 220)),
+    entities.TRANSLATION_ERROR_MM: ("translation error [mm]", (170, 120, 220)),
     entities.FITNESS: ("fitness", (120, 220, 220)),
     entities.INLIER_RMSE: ("inlier RMSE [m]", (230, 110, 140)),
 }

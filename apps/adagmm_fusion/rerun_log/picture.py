@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -49,21 +50,31 @@ def screenshot(viewer: ViewerClient, view_id: str | None = None) -> np.ndarray:
 
 
 def show_page(viewer: ViewerClient, name: str) -> None:
-    """Bring the page of that name to the front, as a click on its tab does.
+    """Bring the page or the view of that name to the front, as clicks on the tabs that it is behind do.
 
     Raises
     ------
-    InputError  if the dashboard has no such page.
+    InputError  if the dashboard has neither.
     """
     blueprint = viewer.get_blueprint().blueprint
-    containers = {path: fields.get("ContainerBlueprint", {}) for path, fields in blueprint.items()}
-    names = {fields["display_name"]: path for path, fields in containers.items() if "display_name" in fields}
-    pages = {name: path.removeprefix("/") for name, path in names.items()}  # the viewer writes it with and without
-    if name not in pages:
-        raise InputError(f"page: expected one of {', '.join(sorted(pages)) or 'none'}, got {name!r}")
-    for fields in containers.values():
-        if pages[name] in (path.removeprefix("/") for path in fields.get("contents", ())):
-            fields["active_tab"] = pages[name]
+    containers: dict[str, dict[str, Any]] = {}
+    names: dict[str, str] = {}
+    for path, archetypes in blueprint.items():
+        shown = path.removeprefix("/")  # the viewer writes it with and without
+        for archetype, fields in archetypes.items():
+            if archetype == "ContainerBlueprint":
+                containers[shown] = fields
+            if "display_name" in fields:
+                names.setdefault(fields["display_name"], shown)
+    if name not in names:
+        raise InputError(f"page: expected one of {', '.join(sorted(names)) or 'none'}, got {name!r}")
+    front: str | None = names[name]
+    while front is not None:
+        behind = None
+        for path, fields in containers.items():
+            if front in (content.removeprefix("/") for content in fields.get("contents", ())):
+                fields["active_tab"], behind = front, path
+        front = behind
     viewer.set_blueprint(blueprint, of="recording")
 
 
@@ -73,11 +84,14 @@ def save_picture(
     *,
     page: str | None = None,
     at: tuple[str, int] | None = None,
+    selected: str | None = None,
     size: tuple[int, int] = (1280, 720),
     theme: Theme = "dark",
 ) -> None:
     """Write a picture of the viewer's window below its top bar, of a page of the dashboard, `at` a timeline and number.
 
+    page : the name of a page, or of a view that is behind a tab.
+    selected : an entity, or one of its points as in world/source/points[#7], which the panel beside the page tells of.
     size : (width, height) [px] of the window.
     """
     check_output_file(picture)
@@ -86,6 +100,9 @@ def save_picture(
             show_page(viewer, page)
         if at is not None:
             viewer.set_time(at[0], sequence=at[1], play_state="paused")
+        if selected is not None:
+            viewer.open(f"recording://{selected}")
+            viewer.run_command("ui.expand_selection_panel")
         viewer.run_command("ui.toggle_top_panel")
         window = screenshot(viewer)[TOP_BAR_PX:]
     try:
@@ -106,8 +123,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("recording", type=Path, help="a .rrd file")
     parser.add_argument("picture", type=Path, help="where the .jpg or .png goes")
-    parser.add_argument("--page", help="Summary, Pair, Why, ... (default: where it opens)")
+    parser.add_argument("--page", help="Summary, Pair, Why, ... or a view behind a tab (default: where it opens)")
     parser.add_argument("--time", metavar="TIMELINE=N", help="e.g. iteration=0 or frame=3 (default: where it opens)")
+    parser.add_argument("--select", metavar="ENTITY", help="and tell of it, e.g. world/source/points[#7]")
     parser.add_argument("--size", default="1280x720", help="of the window, in pixels (default: %(default)s)")
     parser.add_argument("--theme", choices=THEMES, default="dark", help="(default: %(default)s)")
     args = parser.parse_args(arguments)
@@ -117,6 +135,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             args.picture,
             page=args.page,
             at=_parsed_time(args.time),
+            selected=args.select,
             size=_parsed_size(args.size),
             theme=args.theme,
         )

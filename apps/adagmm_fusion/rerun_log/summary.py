@@ -49,6 +49,8 @@ def log_recording_summary(
 
 def summary_markdown(records: Sequence[PairRecord], title: str, progress: Progress | None = None) -> str:
     """The table, the worst first: pairs without a pose, failed ones, then by rotation error; below it the reasons."""
+    if progress is not None and not records:
+        return f"### {title}: {progress.pairs} pairs to register\n\nEach is listed here when it is done."
     failed = sum(record.status == "failed" for record in records)
     worse = sum(record.worse_than_start for record in records)
     lines = [f"### {title}: {len(records) - failed} of {len(records)} pairs registered", ""]

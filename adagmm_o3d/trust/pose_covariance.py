@@ -44,6 +44,7 @@ from adagmm_o3d.mixtures.sampling import some_of
 from adagmm_o3d.pairs.protocol import Pairs
 from adagmm_o3d.result import PoseUncertainty
 from adagmm_o3d.trust.copies import are_copies
+from adagmm_o3d.trust.held_by_colour import free_of_colours
 from adagmm_o3d.trust.observability import free_directions, generalised_eigen
 
 # Of larger clouds that many points' scores are looked at, and their sums stand for those of all.
@@ -75,8 +76,8 @@ class Fit:
 def pose_uncertainty(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -> PoseUncertainty:
     """The uncertainty of a pose between normalised mixtures; `pairs` are theirs.
 
-    In a direction that the shape leaves free the standard deviation is one radius; see also
-    `observability.free_directions`.
+    In a direction that the shape and the colours leave free the standard deviation is one radius; see also
+    `observability.free_directions` and `held_by_colour.free_of_colours`.
     """
     scores = score_moments(pairs, source, target, fit)
     if not np.trace(scores.curvature) > 0.0:
@@ -84,6 +85,8 @@ def pose_uncertainty(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -
     copies = are_copies(source, target, fit.pose)
     free = np.array(() if copies else free_directions(source, fit.pose, scores.matched))
     free = free.reshape(-1, len(scores.curvature))
+    if fit.colour is not None:
+        free = free_of_colours(source, target, fit.pose, fit.colour, free, scores.matched)
     held = _complement(free)
     # what the curvature does not hold is free as well
     curvature = _held(scores.curvature, scores.hessian)

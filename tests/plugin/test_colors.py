@@ -10,7 +10,9 @@ from adagmm_o3d import InputError, TransformationEstimationForAdaptiveGMM, regis
 from adagmm_o3d.errors import InputTypeError
 from adagmm_o3d.evaluation import pose_errors
 from adagmm_o3d.lie import se_exp
-from adagmm_o3d.mixtures.colours import lab_of
+from adagmm_o3d.mixtures.colours import ColourModel, lab_of
+from adagmm_o3d.mixtures.mixture import make_mixture
+from adagmm_o3d.trust.held_by_colour import free_of_colours
 
 reg, treg = o3d.pipelines.registration, o3d.t.pipelines.registration
 COLOURED = TransformationEstimationForAdaptiveGMM(color=True)
@@ -72,6 +74,48 @@ def test_paint_holds_a_wall_that_the_shape_lets_slide(wall):
     np.testing.assert_allclose(coloured.color.gain, 1.0, rtol=0, atol=0.05)
     np.testing.assert_allclose(coloured.color.offset, 0.0, rtol=0, atol=2.0)
     assert np.nanmedian(coloured.color_support) > 0.5
+
+
+def stripes(points):
+    """(n, 3) grey that changes across the wall only."""
+    return np.repeat(0.5 + 0.4 * np.sin(9.0 * points[:, :1]), 3, axis=1)
+
+
+def grey(points):
+    return np.full((len(points), 3), 0.5)
+
+
+@pytest.mark.parametrize(("paint", "free"), [(painted, 0), (stripes, 1), (grey, 3)])
+def test_what_colours_hold_is_not_said_to_be_free(wall, paint, free):
+    """A wall can slide two ways and turn; stripes hold all but the way along them, one colour holds nothing."""
+    rng = np.random.default_rng(1)
+    places = wall.source @ wall.T[:3, :3].T + wall.T[:3, 3], wall.target
+    seen = [np.clip(paint(points) + 0.03 * rng.normal(size=(len(points), 3)), 0.0, 1.0) for points in places]
+    method = TransformationEstimationForAdaptiveGMM(color=True, start="init", search=False)
+    result = register_points(
+        *wall.arrays(), init=wall.T, estimation_method=method, source_colors=seen[0], target_colors=seen[1]
+    )
+    assert len(result.unobservable) == free
+    assert any("free" in text for text in result.warnings) == bool(free)
+    if free == 1:
+        assert abs(result.unobservable[0][4]) > 0.98  # a shift along the stripes
+        assert np.sqrt(result.pose_covariance[4, 4]) > 0.5 > 10.0 * np.sqrt(result.pose_covariance[3, 3])
+
+
+@pytest.mark.parametrize(("slid", "left"), [(0.0, 0), (0.5, 3)])
+def test_colours_hold_nothing_where_the_pose_is_wrong(wall, slid, left):
+    """However rich they are: on the way from a wrong place they get no worse."""
+    mixtures = [
+        make_mixture("cloud", points, covariances).coloured(lab_of(colors))
+        for points, covariances, colors in (
+            (wall.source, wall.source_covariances, wall.source_colors),
+            (wall.target, wall.target_covariances, wall.target_colors),
+        )
+    ]
+    T = se_exp(np.array([0.0, 0.0, 0.3 * slid, slid, -slid, 0.0])) @ wall.T
+    colour = ColourModel(np.full(3, 10.0), np.ones(3), np.zeros(3), 0.1, 2.0, 0.2)
+    in_plane = np.eye(6)[2:5]
+    assert len(free_of_colours(*mixtures, T, colour, in_plane, np.ones(len(wall.source)))) == left
 
 
 @pytest.mark.parametrize("kind", ["legacy", "tensor float32", "tensor uint8", "tensor intensity"])

@@ -1,6 +1,6 @@
 """The formulas of the pair loop, written once and compiled for every device.
 
-`build(jit)` compiles them with the decorator of one device: `numba.njit` on the CPU, `cuda.jit(device=True)` on a GPU.
+`build` compiles them with the decorator of one device: `numba.njit` on the CPU, `cuda.jit(device=True)` on a GPU.
 They hold no float literal, so the arithmetic has the type of the arguments. Symmetric 3x3 matrices are packed as
 (xx, xy, xz, yy, yz, zz). 2D is the plane z = 0: the entries with a z are zero and so are all sums over them.
 """
@@ -12,8 +12,9 @@ from types import SimpleNamespace
 LOG2_SCALE = 0.5 / math.log(2.0)
 
 
-def build(jit, inverse_root):
-    """The formulas, compiled by `jit`, as a namespace; `inverse_root` is the device's 1/√x, compiled for it."""
+def build(jit, inverse_root, power_of_two):
+    """The formulas, compiled by `jit`, as a namespace; `inverse_root` and `power_of_two` are the device's 1/√x and 2ˣ,
+    compiled for it."""
 
     @jit
     def symmetric_product(p0, p1, p2, p3, p4, p5, x, y, z):
@@ -70,6 +71,25 @@ def build(jit, inverse_root):
         dx, dy, dz = ax - bx, ay - by, az - bz
         d = dx * dx + dy * dy + dz * dz
         return d if d < cap else cap
+
+    @jit
+    def adaptive_full(amplitude, d0, d1, d2, a0, a1, a2, a3, a4, a5, b0, b1, b2, b3, b4, b5):
+        """A pair of the paper's (Eq. 5): offset d, target precision A and source precision B, both packed, over σ.
+
+        Its weight amplitude · (2**-dᵀA d + 2**-dᵀB d), dᵀ(A + B)d, (A + B)d, and d x (B d): what B's turning adds.
+        """
+        u0, u1, u2 = symmetric_product(a0, a1, a2, a3, a4, a5, d0, d1, d2)
+        v0, v1, v2 = symmetric_product(b0, b1, b2, b3, b4, b5, d0, d1, d2)
+        qa = dot(d0, d1, d2, u0, u1, u2)
+        qb = dot(d0, d1, d2, v0, v1, v2)
+        weight = amplitude * (power_of_two(-qa) + power_of_two(-qb))
+        t0, t1, t2 = cross(d0, d1, d2, v0, v1, v2)
+        return weight, qa + qb, u0 + v0, u1 + v1, u2 + v2, t0, t1, t2
+
+    @jit
+    def adaptive_isotropic(amplitude, square, a, b):
+        """The weight of such a pair, `square` = ‖d‖², where A and B are a and b times the identity."""
+        return amplitude * (power_of_two(-a * square) + power_of_two(-b * square))
 
     @jit
     def convolved_full(share, d0, d1, d2, s0, s1, s2, s3, s4, s5):
@@ -146,6 +166,8 @@ def build(jit, inverse_root):
         )
 
     return SimpleNamespace(
+        adaptive_full=adaptive_full,
+        adaptive_isotropic=adaptive_isotropic,
         adjugate=adjugate,
         convolved_full=convolved_full,
         convolved_planar=convolved_planar,

@@ -7,12 +7,10 @@ Eq. 5).
 # A point of a mixture, component by component.
 X = 0  # 0..2: x, y, z
 SHARE = 3  # what the weight of a pair is multiplied with
-# On the CPU, where a point is a column of a packed target, then come:
-FACTOR = 4  # what its posterior does to the weights of its pairs
-MATRIX = 5  # its covariance at σ, packed (6) or its one diagonal entry (1)
-# On a device, where most tiles have no factor, the other way round:
-TILE_MATRIX = 4
-TILE_FACTOR, TILE_FACTOR_ISOTROPIC = 10, 5
+MATRIX = 4  # 4..9: its covariance at σ, or its precision, packed; of multiples of the identity one entry
+# Behind the matrix, and so by its size, where they count:
+FACTOR, ISOTROPIC_FACTOR = 10, 5  # what its posterior does to the weights of its pairs
+HUE, ISOTROPIC_HUE = 11, 6  # three coordinates of its colour
 
 # Sums over all target points for one source point. With convolved weights the precision P of the pair stands for
 # A + B, and nothing turns.

@@ -16,7 +16,7 @@ from adagmm_o3d.kernels.cpu.em import ScaledSource, ScaledTarget
 from adagmm_o3d.kernels.cpu.farthest_points import farthest_points
 from adagmm_o3d.kernels.cpu.tiles import make_boxes, maxima, morton_order
 from adagmm_o3d.kernels.formulas import LOG2_SCALE
-from adagmm_o3d.kernels.layout import MATRIX
+from adagmm_o3d.kernels.layout import FACTOR, MATRIX
 from adagmm_o3d.mixtures.colours import ColourModel
 from adagmm_o3d.mixtures.mixture import Mixture, packed
 from adagmm_o3d.mixtures.sampling import some_of
@@ -117,7 +117,7 @@ class MergedMixture:
     @cached_property
     def _isotropic_target(self) -> ScaledTarget:
         target = self._target
-        packed = np.ascontiguousarray(target.packed[: MATRIX + 1])
+        packed = np.concatenate([target.packed[: MATRIX + 1], target.packed[FACTOR:]])
         return target._replace(packed=packed, covariances=target.covariances[:1], spreads=target.spreads[:1])
 
     @cached_property

@@ -18,7 +18,7 @@ from adagmm_o3d.kernels.cpu.nearest import nearest_sq
 from adagmm_o3d.kernels.cpu.ranges import run_in_ranges
 from adagmm_o3d.kernels.cpu.tiles import Tiles, make_tiles, morton_order
 from adagmm_o3d.kernels.formulas import LOG2_SCALE
-from adagmm_o3d.kernels.layout import FACTOR, MATRIX, TOTAL_ENERGY, TOTAL_SUMS, TOTAL_WEIGHT
+from adagmm_o3d.kernels.layout import FACTOR, ISOTROPIC_FACTOR, MATRIX, TOTAL_ENERGY, TOTAL_SUMS, TOTAL_WEIGHT
 from adagmm_o3d.mixtures.colours import ColourModel
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.pairs.protocol import PairSums, PosteriorSums
@@ -135,11 +135,12 @@ class PairLoop:
         if colour is not None:
             # The kernels leave out by how much any two points' colours agree.
             uniform = uniform * colour.expected
-        packed[FACTOR, :n] = 1.0
+        factors = packed[ISOTROPIC_FACTOR if self._isotropic else FACTOR, :n]
+        factors[:] = 1.0
         columns = None
         if mutuality > 0.0:
             columns = self._column_densities(pose, sigma, packed, colour)
-            packed[FACTOR, :n] = (uniform / (columns + uniform)) ** mutuality
+            factors[:] = (uniform / (columns + uniform)) ** mutuality
         partials = np.empty((self._bands, TOTAL_SUMS))
         densities = self._convolve(pose, sigma, packed, colour, uniform, mutuality, self._no_columns, partials)
 

@@ -1,8 +1,7 @@
 """The paper's E-step: every pair weighted by both points' own Gaussians, and the sums that its M-step needs.
 
 Every array is a structure of arrays (one row per component), so that the innermost loop, over target points, becomes
-vector code. Pairs are evaluated in float32 and summed in float64. The weight itself, an amplitude times the sum of two
-exponentials, is written where it is used: each device has an exponential of its own.
+vector code. Pairs are evaluated in float32 and summed in float64.
 """
 
 import numpy as np
@@ -10,12 +9,11 @@ from numba import njit, prange
 
 from adagmm_o3d.kernels.cpu.compiling import F0, F1, FLAGS, KERNEL_FLAGS, POINTWISE_FLAGS, formulas, source_stamp
 from adagmm_o3d.kernels.cpu.culling import CLUSTER, CLUSTERS_PER_CHUNK, RUN, cluster_box, largest, next_run
-from adagmm_o3d.kernels.cpu.exp2 import exp2_float32
 from adagmm_o3d.kernels.cpu.moving import move_symmetric
 from adagmm_o3d.kernels.cpu.normal_equations import add_rows
 from adagmm_o3d.kernels.layout import ENERGY, PRECISION, PULL, ROW_SUMS, TURN, WEIGHT
 
-symmetric_product, dot, cross = formulas.symmetric_product, formulas.dot, formulas.cross
+adaptive_full, adaptive_isotropic, dot = formulas.adaptive_full, formulas.adaptive_isotropic, formulas.dot
 
 
 @njit(**FLAGS)
@@ -45,23 +43,20 @@ def rows_anisotropic(x, a, amplitudes, i, j, count, y, turned, rows):
             dx = y0 - x0[n]
             dy = y1 - x1[n]
             dz = y2 - x2[n]
-            ax, ay, az = symmetric_product(a0[n], a1[n], a2[n], a3[n], a4[n], a5[n], dx, dy, dz)
-            bx, by, bz = symmetric_product(b0, b1, b2, b3, b4, b5, dx, dy, dz)
-            qa = dot(dx, dy, dz, ax, ay, az)
-            qb = dot(dx, dy, dz, bx, by, bz)
-            c = amplitude[n] * (exp2_float32(-qa) + exp2_float32(-qb))
-            tx, ty, tz = cross(dx, dy, dz, bx, by, bz)
+            c, q, ux, uy, uz, tx, ty, tz = adaptive_full(
+                amplitude[n], dx, dy, dz, a0[n], a1[n], a2[n], a3[n], a4[n], a5[n], b0, b1, b2, b3, b4, b5
+            )
             w += c
-            e += c * (qa + qb)
+            e += c * q
             p0 += c * a0[n]
             p1 += c * a1[n]
             p2 += c * a2[n]
             p3 += c * a3[n]
             p4 += c * a4[n]
             p5 += c * a5[n]
-            u0 += c * (ax + bx)
-            u1 += c * (ay + by)
-            u2 += c * (az + bz)
+            u0 += c * ux
+            u1 += c * uy
+            u2 += c * uz
             t0 += c * tx
             t1 += c * ty
             t2 += c * tz
@@ -95,8 +90,7 @@ def rows_isotropic(x, precisions, amplitudes, i, j, count, y, turned, weights, r
             dx = y0 - x0[n]
             dy = y1 - x1[n]
             dz = y2 - x2[n]
-            d2 = -dot(dx, dy, dz, dx, dy, dz)
-            weights[n] = amplitude[n] * (exp2_float32(a[n] * d2) + exp2_float32(b * d2))
+            weights[n] = adaptive_isotropic(amplitude[n], dot(dx, dy, dz, dx, dy, dz), a[n], b)
         w = F0
         e = F0
         p = F0

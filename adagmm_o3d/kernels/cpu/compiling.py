@@ -12,6 +12,7 @@ from numba.core import event
 from numba.core.caching import FunctionCache
 
 from adagmm_o3d.kernels.cpu.cache_folder import find_a_folder
+from adagmm_o3d.kernels.cpu.exp2 import exp2_float32
 from adagmm_o3d.kernels.formulas import build
 
 # Each of these is needed for vector code, and none assumes that there are no NaN or infinities.
@@ -77,7 +78,7 @@ def _formulas(flags):
         """1/√x of a float32 or a float64, in its own type."""
         return F1 / np.sqrt(x)
 
-    return build(njit(**flags), inverse_root)
+    return build(njit(**flags), inverse_root, exp2_float32)
 
 
 # The formulas for the CPU: for the sums over pairs, and for what is worked out point by point.

@@ -27,7 +27,7 @@ from adagmm_o3d.kernels.cpu.convolved_rows import (
 from adagmm_o3d.kernels.cpu.culling import BLOCK, CLUSTER, GROUP, RUN, TILE, cluster_box, largest, reach
 from adagmm_o3d.kernels.cpu.moving import move_symmetric
 from adagmm_o3d.kernels.cpu.normal_equations import add_rows
-from adagmm_o3d.kernels.layout import DENSITY, FACTOR, MATRIX, ROW_SUMS, SHARE, TOTAL_MATCHED, TOTAL_SUMS, X
+from adagmm_o3d.kernels.layout import DENSITY, MATRIX, ROW_SUMS, SHARE, TOTAL_MATCHED, TOTAL_SUMS, X
 
 # Points are filled up to a multiple of this, the floats of the widest vector register, with points of no weight: no
 # pair is left over for scalar code. A tile is as long.
@@ -72,13 +72,14 @@ class Kind(NamedTuple):
 def pack(
     points: NDArray[np.float32], weights: NDArray[np.floating], matrix_rows: int, hue_rows: int = 0
 ) -> NDArray[np.float32]:
-    """(5 + matrix_rows + hue_rows, padded n) target for `convolved_pass`: coordinates and weights, factors of one, room
-    for the matrices at σ and for colours."""
+    """(5 + matrix_rows + hue_rows, padded n) target for `convolved_pass`, see `layout`: coordinates and weights, room
+    for the matrices at σ, factors of one, room for colours."""
     n = points.shape[1]
     padded = -(-n // LANES) * LANES
     padded += LANES if padded % SAME_LINES == 0 else 0
-    packed = np.zeros((MATRIX + matrix_rows + hue_rows, padded), np.float32)
-    packed[X:SHARE, :n], packed[SHARE, :n], packed[FACTOR] = points, weights, 1.0
+    factor = MATRIX + matrix_rows
+    packed = np.zeros((factor + 1 + hue_rows, padded), np.float32)
+    packed[X:SHARE, :n], packed[SHARE, :n], packed[factor] = points, weights, 1.0
     packed[[MATRIX, MATRIX + 3, MATRIX + 5] if matrix_rows > 1 else MATRIX, n:] = 1.0
     return packed
 

@@ -16,14 +16,25 @@ from numba import njit
 from adagmm_o3d.kernels.cpu.compiling import F0, FLAGS, formulas
 from adagmm_o3d.kernels.cpu.culling import TILE
 from adagmm_o3d.kernels.cpu.exp2 import exp2_float32, exp2_parts
-from adagmm_o3d.kernels.layout import DENSITY, ENERGY, FACTOR, MATRIX, PRECISION, PULL, SHARE, WEIGHT, X
+from adagmm_o3d.kernels.layout import (
+    DENSITY,
+    ENERGY,
+    FACTOR,
+    HUE,
+    ISOTROPIC_FACTOR,
+    ISOTROPIC_HUE,
+    MATRIX,
+    PRECISION,
+    PULL,
+    SHARE,
+    WEIGHT,
+    X,
+)
 
 convolved_full, convolved_planar = formulas.convolved_full, formulas.convolved_planar
 convolved_isotropic = formulas.convolved_isotropic
 capped_distance = formulas.capped_distance
 
-# Where there are colours a packed target has three rows of those behind its matrix.
-FULL_HUE, PLAIN_HUE = MATRIX + 6, MATRIX + 1
 # Loops over two indices, a row and a point, become vector code because neither can count from the end: one is a
 # constant, one unsigned.
 WHOLE = np.uint64(TILE)
@@ -78,9 +89,7 @@ def moments_full(target, i, j, count, y, turned, hue, cap, rows):
                 target[MATRIX + 5, n] + b5,
             )
             if hue is not None:
-                unlike = capped_distance(
-                    h0, h1, h2, target[FULL_HUE, n], target[FULL_HUE + 1, n], target[FULL_HUE + 2, n], cap
-                )
+                unlike = capped_distance(h0, h1, h2, target[HUE, n], target[HUE + 1, n], target[HUE + 2, n], cap)
                 exponent = q + unlike
             else:
                 exponent = q
@@ -141,9 +150,7 @@ def moments_planar(target, i, j, count, y, turned, hue, cap, rows):
             s3 = target[MATRIX + 3, n] + b3
             height, inverse, q, vx, vy = convolved_planar(target[SHARE, n], dx, dy, s0, s1, s3)
             if hue is not None:
-                unlike = capped_distance(
-                    h0, h1, h2, target[FULL_HUE, n], target[FULL_HUE + 1, n], target[FULL_HUE + 2, n], cap
-                )
+                unlike = capped_distance(h0, h1, h2, target[HUE, n], target[HUE + 1, n], target[HUE + 2, n], cap)
                 exponent = q + unlike
             else:
                 exponent = q
@@ -196,16 +203,16 @@ def moments_isotropic(target, i, j, planar, count, y, turned, hue, cap, rows):
                     h0,
                     h1,
                     h2,
-                    target[PLAIN_HUE, n],
-                    target[PLAIN_HUE + 1, n],
-                    target[PLAIN_HUE + 2, n],
+                    target[ISOTROPIC_HUE, n],
+                    target[ISOTROPIC_HUE + 1, n],
+                    target[ISOTROPIC_HUE + 2, n],
                     cap,
                 )
                 exponent = q + unlike
             else:
                 exponent = q
             fraction, whole = exp2_parts(-exponent)
-            factor = target[FACTOR, n]
+            factor = target[ISOTROPIC_FACTOR, n]
             g = fraction * (height * whole)
             density += g
             c = g * factor
@@ -256,9 +263,7 @@ def densities_full(target, i, j, count, own, y, turned, hue, cap, columns, rows)
                 target[MATRIX + 5, n] + b5,
             )
             if hue is not None:
-                unlike = capped_distance(
-                    h0, h1, h2, target[FULL_HUE, n], target[FULL_HUE + 1, n], target[FULL_HUE + 2, n], cap
-                )
+                unlike = capped_distance(h0, h1, h2, target[HUE, n], target[HUE + 1, n], target[HUE + 2, n], cap)
                 exponent = q + unlike
             else:
                 exponent = q
@@ -286,9 +291,7 @@ def densities_planar(target, i, j, count, own, y, turned, hue, cap, columns, row
                 target[SHARE, n], dx, dy, target[MATRIX, n] + b0, target[MATRIX + 1, n] + b1, target[MATRIX + 3, n] + b3
             )
             if hue is not None:
-                unlike = capped_distance(
-                    h0, h1, h2, target[FULL_HUE, n], target[FULL_HUE + 1, n], target[FULL_HUE + 2, n], cap
-                )
+                unlike = capped_distance(h0, h1, h2, target[HUE, n], target[HUE + 1, n], target[HUE + 2, n], cap)
                 exponent = q + unlike
             else:
                 exponent = q
@@ -318,9 +321,9 @@ def densities_isotropic(target, i, j, planar, count, own, y, turned, hue, cap, c
                     h0,
                     h1,
                     h2,
-                    target[PLAIN_HUE, n],
-                    target[PLAIN_HUE + 1, n],
-                    target[PLAIN_HUE + 2, n],
+                    target[ISOTROPIC_HUE, n],
+                    target[ISOTROPIC_HUE + 1, n],
+                    target[ISOTROPIC_HUE + 2, n],
                     cap,
                 )
                 exponent = q + unlike

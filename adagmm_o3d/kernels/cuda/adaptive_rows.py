@@ -1,14 +1,12 @@
 """The paper's E-step on the GPU: the sums of every source point over the target, as in `kernels.cpu.adaptive_rows`."""
 
-import math
-
 from numba import float32, int32
 
 from adagmm_o3d.kernels.cuda.front_end import F0, F1, TILE, cuda, fast, fast_kernel, formulas, source_stamp
 from adagmm_o3d.kernels.cuda.tiles import is_near
-from adagmm_o3d.kernels.layout import TILE_MATRIX
+from adagmm_o3d.kernels.layout import FACTOR, ISOTROPIC_FACTOR, MATRIX, SHARE, X
 
-symmetric_product, dot, cross = formulas.symmetric_product, formulas.dot, formulas.cross
+adaptive_full, adaptive_isotropic, dot = formulas.adaptive_full, formulas.adaptive_isotropic, formulas.dot
 
 # Sums of a source point: layout.WEIGHT to TURN.
 ROWS = 14
@@ -21,28 +19,26 @@ NOTHING = (0.0,) * ROWS
 @fast
 def pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, s):
     """The sums `s` of a source point and target point j of the tile `x` added."""
-    dx = y0 - x[j, 0]
-    dy = y1 - x[j, 1]
-    dz = y2 - x[j, 2]
-    a0, a1, a2, a3, a4, a5 = x[j, 4], x[j, 5], x[j, 6], x[j, 7], x[j, 8], x[j, 9]
-    ax, ay, az = symmetric_product(a0, a1, a2, a3, a4, a5, dx, dy, dz)
-    bx, by, bz = symmetric_product(b0, b1, b2, b3, b4, b5, dx, dy, dz)
-    qa = dot(dx, dy, dz, ax, ay, az)
-    qb = dot(dx, dy, dz, bx, by, bz)
-    c = x[j, 3] * (math.exp2(-qa) + math.exp2(-qb))
-    tx, ty, tz = cross(dx, dy, dz, bx, by, bz)
+    dx = y0 - x[j, X]
+    dy = y1 - x[j, X + 1]
+    dz = y2 - x[j, X + 2]
+    a0, a1, a2 = x[j, MATRIX], x[j, MATRIX + 1], x[j, MATRIX + 2]
+    a3, a4, a5 = x[j, MATRIX + 3], x[j, MATRIX + 4], x[j, MATRIX + 5]
+    c, q, ux, uy, uz, tx, ty, tz = adaptive_full(
+        x[j, SHARE], dx, dy, dz, a0, a1, a2, a3, a4, a5, b0, b1, b2, b3, b4, b5
+    )
     return (
         s[0] + c,
-        s[1] + c * (qa + qb),
+        s[1] + c * q,
         s[2] + c * a0,
         s[3] + c * a1,
         s[4] + c * a2,
         s[5] + c * a3,
         s[6] + c * a4,
         s[7] + c * a5,
-        s[8] + c * (ax + bx),
-        s[9] + c * (ay + by),
-        s[10] + c * (az + bz),
+        s[8] + c * ux,
+        s[9] + c * uy,
+        s[10] + c * uz,
         s[11] + c * tx,
         s[12] + c * ty,
         s[13] + c * tz,
@@ -52,12 +48,12 @@ def pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, s):
 @fast
 def pair_isotropic(x, j, y0, y1, y2, b, s):
     """The same where every precision is a multiple of the identity: nothing turns, three directions share one sum."""
-    dx = y0 - x[j, 0]
-    dy = y1 - x[j, 1]
-    dz = y2 - x[j, 2]
-    a = x[j, 4]
+    dx = y0 - x[j, X]
+    dy = y1 - x[j, X + 1]
+    dz = y2 - x[j, X + 2]
+    a = x[j, MATRIX]
     d2 = dot(dx, dy, dz, dx, dy, dz)
-    c = x[j, 3] * (math.exp2(-a * d2) + math.exp2(-b * d2))
+    c = adaptive_isotropic(x[j, SHARE], d2, a, b)
     k = c * (a + b)
     p = s[2] + c * a
     return (s[0] + c, s[1] + k * d2, p, F0, F0, p, F0, p, s[8] + k * dx, s[9] + k * dy, s[10] + k * dz, F0, F0, F0)
@@ -86,7 +82,7 @@ def added(total, s):
 
 def _build(isotropic, stamp):
     """The kernel for one kind of matrices; `stamp` keeps its cache fresh."""
-    components = 5 if isotropic else 10
+    components = ISOTROPIC_FACTOR if isotropic else FACTOR  # a tile ends where a factor would be
     width = 8 if isotropic else 12  # whole 16-byte words, which the compiler then loads at once
 
     @fast_kernel
@@ -105,12 +101,12 @@ def _build(isotropic, stamp):
         shares = cuda.gridDim.y
         count = target.shape[0]
         y0, y1, y2 = moved[own, 0, t], moved[own, 1, t], moved[own, 2, t]
-        b0 = moved[own, TILE_MATRIX, t]
+        b0 = moved[own, MATRIX, t]
         if isotropic:
             b1 = b2 = b3 = b4 = b5 = F0
         else:
-            b1, b2, b3 = moved[own, TILE_MATRIX + 1, t], moved[own, TILE_MATRIX + 2, t], moved[own, TILE_MATRIX + 3, t]
-            b4, b5 = moved[own, TILE_MATRIX + 4, t], moved[own, TILE_MATRIX + 5, t]
+            b1, b2, b3 = moved[own, MATRIX + 1, t], moved[own, MATRIX + 2, t], moved[own, MATRIX + 3, t]
+            b4, b5 = moved[own, MATRIX + 4, t], moved[own, MATRIX + 5, t]
         total = NOTHING
         s = NONE
         pending = 0
@@ -128,7 +124,7 @@ def _build(isotropic, stamp):
                     continue
                 tile = first + k * shares
                 for i in range(components):
-                    x[t, i] = target[tile, i, t] * (scale if i >= TILE_MATRIX else F1)
+                    x[t, i] = target[tile, i, t] * (scale if i >= MATRIX else F1)
                 cuda.syncthreads()
                 for j in range(0, TILE, 4):
                     if isotropic:

@@ -19,7 +19,7 @@ from adagmm_o3d.kernels.cuda.front_end import (
     source_stamp,
 )
 from adagmm_o3d.kernels.cuda.tiles import is_near
-from adagmm_o3d.kernels.layout import SHARE, TILE_MATRIX, X
+from adagmm_o3d.kernels.layout import FACTOR, HUE, ISOTROPIC_FACTOR, ISOTROPIC_HUE, MATRIX, SHARE, X
 
 convolved_full, convolved_isotropic = formulas.convolved_full, formulas.convolved_isotropic
 
@@ -39,12 +39,12 @@ def density_anisotropic(y, j, x0, x1, x2, a0, a1, a2, a3, a4, a5, unlike):
         dx,
         dy,
         dz,
-        y[j, TILE_MATRIX] + a0,
-        y[j, TILE_MATRIX + 1] + a1,
-        y[j, TILE_MATRIX + 2] + a2,
-        y[j, TILE_MATRIX + 3] + a3,
-        y[j, TILE_MATRIX + 4] + a4,
-        y[j, TILE_MATRIX + 5] + a5,
+        y[j, MATRIX] + a0,
+        y[j, MATRIX + 1] + a1,
+        y[j, MATRIX + 2] + a2,
+        y[j, MATRIX + 3] + a3,
+        y[j, MATRIX + 4] + a4,
+        y[j, MATRIX + 5] + a5,
     )
     return height * math.exp2(-(q + unlike))
 
@@ -55,16 +55,16 @@ def density_isotropic(y, j, x0, x1, x2, a, planar, unlike):
     dx = y[j, X] - x0
     dy = y[j, X + 1] - x1
     dz = y[j, X + 2] - x2
-    height, _, q = convolved_isotropic(y[j, SHARE], dx, dy, dz, y[j, TILE_MATRIX] + a, planar)
+    height, _, q = convolved_isotropic(y[j, SHARE], dx, dy, dz, y[j, MATRIX] + a, planar)
     return height * math.exp2(-(q + unlike))
 
 
 def _build(isotropic, coloured, stamp):
     """The kernel for one kind of matrices, with colours or without; `stamp` keeps its cache fresh."""
-    components = 5 if isotropic else 10
-    hue = components
+    # A tile ends where a factor would be.
+    components, hue = (ISOTROPIC_FACTOR, ISOTROPIC_HUE) if isotropic else (FACTOR, HUE)
     # Whole 16-byte words, which the compiler then loads at once.
-    width = 4 * -(-(hue + (3 if coloured else 0)) // 4)
+    width = 4 * -(-(hue + 3 if coloured else components) // 4)
 
     @fast_kernel
     def convolved_columns(target, target_boxes, sigma, planar, moved, moved_boxes, hues, target_hues, cap, parts):
@@ -82,13 +82,13 @@ def _build(isotropic, coloured, stamp):
         shares = cuda.gridDim.y
         count = moved.shape[0]
         x0, x1, x2 = target[own, 0, t], target[own, 1, t], target[own, 2, t]
-        a0 = target[own, TILE_MATRIX, t] * sigma
+        a0 = target[own, MATRIX, t] * sigma
         if isotropic:
             a1 = a2 = a3 = a4 = a5 = F0
         else:
-            a1, a2 = target[own, TILE_MATRIX + 1, t] * sigma, target[own, TILE_MATRIX + 2, t] * sigma
-            a3, a4 = target[own, TILE_MATRIX + 3, t] * sigma, target[own, TILE_MATRIX + 4, t] * sigma
-            a5 = target[own, TILE_MATRIX + 5, t] * sigma
+            a1, a2 = target[own, MATRIX + 1, t] * sigma, target[own, MATRIX + 2, t] * sigma
+            a3, a4 = target[own, MATRIX + 3, t] * sigma, target[own, MATRIX + 4, t] * sigma
+            a5 = target[own, MATRIX + 5, t] * sigma
         if coloured:
             h0, h1, h2 = target_hues[own, 0, t], target_hues[own, 1, t], target_hues[own, 2, t]
         else:

@@ -15,7 +15,7 @@ from adagmm_o3d.kernels.cuda.front_end import (
     source_stamp,
 )
 from adagmm_o3d.kernels.cuda.tiles import is_near
-from adagmm_o3d.kernels.layout import SHARE, TILE_FACTOR, TILE_FACTOR_ISOTROPIC, TILE_MATRIX, X
+from adagmm_o3d.kernels.layout import FACTOR, HUE, ISOTROPIC_FACTOR, ISOTROPIC_HUE, MATRIX, SHARE, X
 
 convolved_full, convolved_isotropic = formulas.convolved_full, formulas.convolved_isotropic
 capped_distance = formulas.capped_distance
@@ -41,15 +41,15 @@ def pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, unlike, s):
         dx,
         dy,
         dz,
-        x[j, TILE_MATRIX] + b0,
-        x[j, TILE_MATRIX + 1] + b1,
-        x[j, TILE_MATRIX + 2] + b2,
-        x[j, TILE_MATRIX + 3] + b3,
-        x[j, TILE_MATRIX + 4] + b4,
-        x[j, TILE_MATRIX + 5] + b5,
+        x[j, MATRIX] + b0,
+        x[j, MATRIX + 1] + b1,
+        x[j, MATRIX + 2] + b2,
+        x[j, MATRIX + 3] + b3,
+        x[j, MATRIX + 4] + b4,
+        x[j, MATRIX + 5] + b5,
     )
     g = height * math.exp2(-(q + unlike))
-    c = g * x[j, TILE_FACTOR]
+    c = g * x[j, FACTOR]
     k = c * inverse
     return (
         s[0] + c,
@@ -73,9 +73,9 @@ def pair_isotropic(x, j, y0, y1, y2, b, planar, unlike, s):
     dx = y0 - x[j, X]
     dy = y1 - x[j, X + 1]
     dz = y2 - x[j, X + 2]
-    height, precision, q = convolved_isotropic(x[j, SHARE], dx, dy, dz, x[j, TILE_MATRIX] + b, planar)
+    height, precision, q = convolved_isotropic(x[j, SHARE], dx, dy, dz, x[j, MATRIX] + b, planar)
     g = height * math.exp2(-(q + unlike))
-    c = g * x[j, TILE_FACTOR_ISOTROPIC]
+    c = g * x[j, ISOTROPIC_FACTOR]
     k = c * precision
     p = s[2] + k
     return (s[0] + c, s[1] + c * q, p, F0, F0, p, F0, p, s[8] + k * dx, s[9] + k * dy, s[10] + k * dz, s[11] + g)
@@ -114,9 +114,7 @@ def column_factor(density, uniform, mutuality):
 
 def _build(isotropic, coloured, stamp):
     """The kernel for one kind of matrices, with colours or without; `stamp` keeps its cache fresh."""
-    components = 5 if isotropic else 10
-    factor = TILE_FACTOR_ISOTROPIC if isotropic else TILE_FACTOR
-    hue = components + 1
+    factor, hue = (ISOTROPIC_FACTOR, ISOTROPIC_HUE) if isotropic else (FACTOR, HUE)
     # Whole 16-byte words, which the compiler then loads at once.
     width = 4 * -(-(hue + (3 if coloured else 0)) // 4)
 
@@ -140,12 +138,12 @@ def _build(isotropic, coloured, stamp):
         shares = cuda.gridDim.y
         count = target.shape[0]
         y0, y1, y2 = moved[own, 0, t], moved[own, 1, t], moved[own, 2, t]
-        b0 = moved[own, TILE_MATRIX, t]
+        b0 = moved[own, MATRIX, t]
         if isotropic:
             b1 = b2 = b3 = b4 = b5 = F0
         else:
-            b1, b2, b3 = moved[own, TILE_MATRIX + 1, t], moved[own, TILE_MATRIX + 2, t], moved[own, TILE_MATRIX + 3, t]
-            b4, b5 = moved[own, TILE_MATRIX + 4, t], moved[own, TILE_MATRIX + 5, t]
+            b1, b2, b3 = moved[own, MATRIX + 1, t], moved[own, MATRIX + 2, t], moved[own, MATRIX + 3, t]
+            b4, b5 = moved[own, MATRIX + 4, t], moved[own, MATRIX + 5, t]
         if coloured:
             h0, h1, h2 = hues[own, 0, t], hues[own, 1, t], hues[own, 2, t]
         else:
@@ -167,8 +165,8 @@ def _build(isotropic, coloured, stamp):
                 if near[k] == 0:
                     continue
                 tile = first + k * shares
-                for i in range(components):
-                    x[t, i] = target[tile, i, t] * (sigma if i >= TILE_MATRIX else F1)
+                for i in range(factor):
+                    x[t, i] = target[tile, i, t] * (sigma if i >= MATRIX else F1)
                 x[t, factor] = column_factor(columns[tile, t], uniform, mutuality) if mutuality > F0 else F1
                 if coloured:
                     for i in range(3):

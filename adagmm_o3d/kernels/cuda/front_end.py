@@ -76,6 +76,18 @@ def exact_inverse_root(x):
     return 1.0 / math.sqrt(x)
 
 
+@fast
+def power_of_two(x):
+    """2**x of a float32."""
+    return math.exp2(x)
+
+
+@exact
+def exact_power_of_two(x):
+    """2**x of a float64."""
+    return math.exp2(x)
+
+
 # The formulas for the GPU.
-formulas = build(fast, inverse_root)
-exact_formulas = build(exact, exact_inverse_root)
+formulas = build(fast, inverse_root, power_of_two)
+exact_formulas = build(exact, exact_inverse_root, exact_power_of_two)

@@ -4,7 +4,7 @@ from numba import float32
 
 from adagmm_o3d.kernels.cuda.front_end import F0, F1, TILE, cuda, exact_formulas, kernel, source_stamp
 from adagmm_o3d.kernels.cuda.tiles import BOX_VARIANCE, extreme
-from adagmm_o3d.kernels.layout import SHARE, TILE_MATRIX
+from adagmm_o3d.kernels.layout import MATRIX, SHARE
 
 rotate_point, rotate_symmetric = exact_formulas.rotate_point, exact_formulas.rotate_symmetric
 
@@ -25,23 +25,23 @@ def _build(isotropic, stamp):
         moved[tile, 2, t] = z
         moved[tile, SHARE, t] = source[tile, SHARE, t]
         if isotropic:
-            moved[tile, TILE_MATRIX, t] = source[tile, TILE_MATRIX, t] * scale
+            moved[tile, MATRIX, t] = source[tile, MATRIX, t] * scale
         else:
             p0, p1, p2, p3, p4, p5 = rotate_symmetric(
                 pose,
-                source[tile, TILE_MATRIX, t] * scale,
-                source[tile, TILE_MATRIX + 1, t] * scale,
-                source[tile, TILE_MATRIX + 2, t] * scale,
-                source[tile, TILE_MATRIX + 3, t] * scale,
-                source[tile, TILE_MATRIX + 4, t] * scale,
-                source[tile, TILE_MATRIX + 5, t] * scale,
+                source[tile, MATRIX, t] * scale,
+                source[tile, MATRIX + 1, t] * scale,
+                source[tile, MATRIX + 2, t] * scale,
+                source[tile, MATRIX + 3, t] * scale,
+                source[tile, MATRIX + 4, t] * scale,
+                source[tile, MATRIX + 5, t] * scale,
             )
-            moved[tile, TILE_MATRIX, t] = p0
-            moved[tile, TILE_MATRIX + 1, t] = p1
-            moved[tile, TILE_MATRIX + 2, t] = p2
-            moved[tile, TILE_MATRIX + 3, t] = p3
-            moved[tile, TILE_MATRIX + 4, t] = p4
-            moved[tile, TILE_MATRIX + 5, t] = p5 + (F1 if planar else F0)
+            moved[tile, MATRIX, t] = p0
+            moved[tile, MATRIX + 1, t] = p1
+            moved[tile, MATRIX + 2, t] = p2
+            moved[tile, MATRIX + 3, t] = p3
+            moved[tile, MATRIX + 4, t] = p4
+            moved[tile, MATRIX + 5, t] = p5 + (F1 if planar else F0)
         corners[t, 0] = x
         corners[t, 1] = y
         corners[t, 2] = z

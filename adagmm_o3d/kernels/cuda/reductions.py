@@ -12,9 +12,9 @@ from adagmm_o3d.kernels.cuda.front_end import F0, TILE, cuda, exact, exact_formu
 from adagmm_o3d.kernels.layout import (
     ENERGY,
     HESSIAN,
+    MATRIX,
     PRECISION,
     PULL,
-    TILE_MATRIX,
     TOTAL_ENERGY,
     TOTAL_MATCHED,
     TOTAL_SUMS,
@@ -135,17 +135,17 @@ def _build_adaptive(isotropic, stamp):
         amplitude = amplitudes[tile, t]
         s = summed_adaptive(rows, m)
         w = amplitude * s[WEIGHT]
-        b0 = moved[tile, TILE_MATRIX, t]
+        b0 = moved[tile, MATRIX, t]
         if isotropic:
             b1 = b2 = b4 = F0
             b3 = b5 = b0
         else:
             b1, b2, b3 = (
-                moved[tile, TILE_MATRIX + 1, t],
-                moved[tile, TILE_MATRIX + 2, t],
-                moved[tile, TILE_MATRIX + 3, t],
+                moved[tile, MATRIX + 1, t],
+                moved[tile, MATRIX + 2, t],
+                moved[tile, MATRIX + 3, t],
             )
-            b4, b5 = moved[tile, TILE_MATRIX + 4, t], moved[tile, TILE_MATRIX + 5, t]
+            b4, b5 = moved[tile, MATRIX + 4, t], moved[tile, MATRIX + 5, t]
         terms = normal_equations(
             moved[tile, 0, t],
             moved[tile, 1, t],

@@ -13,7 +13,7 @@ from adagmm_o3d.kernels import layout
 from adagmm_o3d.kernels.cuda.front_end import F0, F1, TILE, cuda, fast, fast_kernel, formulas, source_stamp
 from adagmm_o3d.kernels.cuda.reductions import PADDED, reduce_tile
 from adagmm_o3d.kernels.cuda.tiles import BOX_VARIANCE
-from adagmm_o3d.kernels.layout import TILE_MATRIX
+from adagmm_o3d.kernels.layout import MATRIX
 
 symmetric_product, dot, cross = formulas.symmetric_product, formulas.dot, formulas.cross
 convolved_full = formulas.convolved_full
@@ -197,14 +197,14 @@ def _build(of_source, isotropic, stamp):
                     continue
                 tile = first + i
                 x0, x1, x2 = other[tile, 0, t], other[tile, 1, t], other[tile, 2, t]
-                m0 = other[tile, TILE_MATRIX, t] * scale
+                m0 = other[tile, MATRIX, t] * scale
                 if isotropic:
                     m1 = m2 = m4 = F0
                     m3 = m5 = m0
                 else:
-                    m1, m2 = other[tile, TILE_MATRIX + 1, t] * scale, other[tile, TILE_MATRIX + 2, t] * scale
-                    m3, m4 = other[tile, TILE_MATRIX + 3, t] * scale, other[tile, TILE_MATRIX + 4, t] * scale
-                    m5 = other[tile, TILE_MATRIX + 5, t] * scale
+                    m1, m2 = other[tile, MATRIX + 1, t] * scale, other[tile, MATRIX + 2, t] * scale
+                    m3, m4 = other[tile, MATRIX + 3, t] * scale, other[tile, MATRIX + 4, t] * scale
+                    m5 = other[tile, MATRIX + 5, t] * scale
                 weight, share = weights[tile, t], shares[tile, t]
                 if of_source:
                     s = curved(

@@ -6,7 +6,7 @@ from adagmm_o3d.kernels.cuda.clouds.inspecting import COVARIANCE, LARGEST, VARIA
 from adagmm_o3d.kernels.cuda.front_end import TILE, cuda, exact, exact_formulas, kernel, source_stamp
 from adagmm_o3d.kernels.cuda.tiles import BOX_BITS, BOX_VARIANCE, extreme
 from adagmm_o3d.kernels.formulas import LOG2_SCALE
-from adagmm_o3d.kernels.layout import SHARE, TILE_MATRIX
+from adagmm_o3d.kernels.layout import MATRIX, SHARE
 
 adjugate, dot = exact_formulas.adjugate, exact_formulas.dot
 
@@ -84,7 +84,7 @@ def _build_pack(precise, isotropic, stamp):
         corners[t, BOX_BITS] = bits[tile, t]
         c0 = points[COVARIANCE, i] * factor
         if isotropic:
-            tiles[tile, TILE_MATRIX, t] = LOG2_SCALE / c0 if precise else c0 / LOG2_SCALE
+            tiles[tile, MATRIX, t] = LOG2_SCALE / c0 if precise else c0 / LOG2_SCALE
         else:
             c1, c2 = points[COVARIANCE + 1, i] * factor, points[COVARIANCE + 2, i] * factor
             c3, c4 = points[COVARIANCE + 3, i] * factor, points[COVARIANCE + 4, i] * factor
@@ -94,12 +94,12 @@ def _build_pack(precise, isotropic, stamp):
                 a0, a1, a2, a3, a4, a5 = adjugate(c0, c1, c2, c3, c4, c5)
                 in_powers_of_two = LOG2_SCALE / dot(c0, c1, c2, a0, a1, a2)
                 c0, c1, c2, c3, c4, c5 = a0, a1, a2, a3, a4, a5
-            tiles[tile, TILE_MATRIX, t] = c0 * in_powers_of_two
-            tiles[tile, TILE_MATRIX + 1, t] = c1 * in_powers_of_two
-            tiles[tile, TILE_MATRIX + 2, t] = c2 * in_powers_of_two
-            tiles[tile, TILE_MATRIX + 3, t] = c3 * in_powers_of_two
-            tiles[tile, TILE_MATRIX + 4, t] = c4 * in_powers_of_two
-            tiles[tile, TILE_MATRIX + 5, t] = c5 * in_powers_of_two
+            tiles[tile, MATRIX, t] = c0 * in_powers_of_two
+            tiles[tile, MATRIX + 1, t] = c1 * in_powers_of_two
+            tiles[tile, MATRIX + 2, t] = c2 * in_powers_of_two
+            tiles[tile, MATRIX + 3, t] = c3 * in_powers_of_two
+            tiles[tile, MATRIX + 4, t] = c4 * in_powers_of_two
+            tiles[tile, MATRIX + 5, t] = c5 * in_powers_of_two
         cuda.syncthreads()
         if t < 8:
             boxes[tile, t] = extreme(corners, t)

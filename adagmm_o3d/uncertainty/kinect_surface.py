@@ -26,9 +26,7 @@ def estimate_kinect_surface_covariances(
 
     Parameters
     ----------
-    points : (N, 3) [m], camera frame (x right, y down, z forward).
-    normals : (N, 3), any non-zero length and either sign.
-    focal_length : f or (fx, fy) [px], of the image that the points come from.
+    points, normals, focal_length : as `estimate_nguyen_covariances` takes them, (N, 3) [m], (N, 3) and [px].
 
     Returns
     -------

@@ -12,7 +12,7 @@ import open3d as o3d
 from adagmm_bench.methods import METHODS
 from adagmm_bench.methods.variant import Replacement, Variant, replaced
 from adagmm_bench.scenes import FramePair
-from adagmm_bench.trial import TrialJob
+from adagmm_bench.trial import TrialJob, record_of
 from adagmm_fusion.clouds.building import clouds_from_pair, dense_cloud
 from adagmm_fusion.frames.rgbd import RGBDPair
 from adagmm_fusion.pairs.settings import Settings
@@ -142,14 +142,11 @@ def run_color_trial(job: TrialJob[FramePair]) -> dict:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
     seconds = time.process_time() - started
     errors = pose_errors(pair.T_target_source, T)
-    return {
-        "key": job.key,
-        "method": job.method,
-        "start": job.start,
-        "version": version_of(job.method),
-        "problem": job.problem.facts(),
-        "reason": reason,
-        "cpu_seconds": seconds,
-        "rotation_error_deg": errors.rotation_deg,
-        "translation_error": errors.translation,
-    }
+    return record_of(
+        job,
+        version_of(job.method),
+        reason=reason,
+        cpu_seconds=seconds,
+        rotation_error_deg=errors.rotation_deg,
+        translation_error=errors.translation,
+    )

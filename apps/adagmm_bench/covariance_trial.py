@@ -7,7 +7,7 @@ import numpy as np
 from adagmm_bench.methods import METHODS
 from adagmm_bench.methods.ours import register
 from adagmm_bench.problem import prepare
-from adagmm_bench.trial import ProblemSource, TrialJob, judge
+from adagmm_bench.trial import ProblemSource, TrialJob, judge, record_of
 from adagmm_o3d import lie
 
 
@@ -24,13 +24,10 @@ def run_covariance_trial(job: TrialJob[ProblemSource]) -> dict:
     if covariance is not None:
         error = lie.se_log(prepared.prepared_pose(problem.T_target_source) @ lie.se_inverse(T))
         nees = float(error @ np.linalg.solve(covariance, error))
-    return {
-        "key": job.key,
-        "method": job.method,
-        "start": job.start,
-        "version": METHODS[job.method].version(),
-        "problem": job.problem.facts(),
-        "nees": nees,
-        "free": len(result.unobservable),
+    return record_of(
+        job,
+        METHODS[job.method].version(),
+        nees=nees,
+        free=len(result.unobservable),
         **judge(problem, prepared.restore(T), job.problem.partner_distance),
-    }
+    )

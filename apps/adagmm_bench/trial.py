@@ -8,7 +8,7 @@ import time
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 import open3d as o3d
@@ -84,6 +84,18 @@ class TrialJob(Generic[Source]):
         return f"{self.problem.key} | {self.method} | {self.start}"
 
 
+def record_of(job: TrialJob[TrialSource], version: str, **outcome: Any) -> dict:
+    """The record of a job: what it is of, by which version of its method, and what came of it."""
+    return {
+        "key": job.key,
+        "method": job.method,
+        "start": job.start,
+        "version": version,
+        "problem": job.problem.facts(),
+        **outcome,
+    }
+
+
 def run_trial(job: TrialJob[ProblemSource]) -> dict:
     """Register and judge. A method that raises is a record too: it counts with the errors of its start.
 
@@ -107,18 +119,15 @@ def run_trial(job: TrialJob[ProblemSource]) -> dict:
     if not np.isfinite(T_prepared).all():
         status, reason, T_prepared = "failed", "the pose is not finite", np.eye(problem.dimension + 1)
     T = orthonormal(prepared.restore(T_prepared))
-    return {
-        "key": job.key,
-        "method": job.method,
-        "start": job.start,
-        "version": method.version(),
-        "problem": job.problem.facts(),
-        "status": status,
-        "reason": reason,
-        "seconds": seconds,
-        "cpu_seconds": cpu_seconds,
+    return record_of(
+        job,
+        method.version(),
+        status=status,
+        reason=reason,
+        seconds=seconds,
+        cpu_seconds=cpu_seconds,
         **judge(problem, T, job.problem.partner_distance),
-    }
+    )
 
 
 def judge(problem: Problem, T: np.ndarray, partner_distance: float) -> dict:

@@ -7,9 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from adagmm_bench.commands.kinect import found as found_scene
 from adagmm_bench.commands.options import (
-    add_data,
-    add_output,
-    add_placement,
+    add_trials,
     check_count,
     data_folder,
     open_journal,
@@ -47,9 +45,7 @@ DENSE_POINTS = (25_000, 50_000, 100_000)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--trials", type=int, default=REPETITIONS, help="trials a setting (default %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="default %(default)s")
-    add_data(parser)
-    add_placement(parser)
-    add_output(parser, "ablation")
+    add_trials(parser, "ablation")
 
 
 def run(arguments: argparse.Namespace) -> int:

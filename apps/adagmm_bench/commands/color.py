@@ -9,21 +9,18 @@ import numpy as np
 
 from adagmm_bench.color_trial import NAMES, STARTS, meaning, run_color_trial, version_of
 from adagmm_bench.commands.options import (
-    add_data,
-    add_output,
-    add_placement,
-    data_folder,
+    add_trials,
     open_journal,
     placement,
+    usable_frame_pairs,
     words,
 )
 from adagmm_bench.report import command_line, machine_note, markdown_table, print_table, write_json
 from adagmm_bench.runner import run_jobs
-from adagmm_bench.scenes import find_frame_pairs
 from adagmm_bench.trial import TrialJob
 from adagmm_fusion.files.atomic_file import write_text
 from adagmm_fusion.pairs.settings import Settings
-from adagmm_fusion.processes.terminal import printable, say
+from adagmm_fusion.processes.terminal import printable
 from adagmm_o3d.errors import InputError
 
 COLUMNS = ["start, method", "found", "median of all: rotation [°]", "translation [mm]", "CPU s, median"]
@@ -31,15 +28,11 @@ COLUMNS = ["start, method", "found", "median of all: rotation [°]", "translatio
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--methods", type=words, default=NAMES, help="names with commas (default: all)")
-    add_data(parser)
-    add_placement(parser)
-    add_output(parser, "color")
+    add_trials(parser, "color")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    pairs, unusable = find_frame_pairs(data_folder(arguments))
-    for line in unusable:
-        say(printable(f"left out {line}"))
+    pairs, _ = usable_frame_pairs(arguments)
     names = arguments.methods
     if unknown := [name for name in names if name not in NAMES]:
         raise InputError(f"methods: unknown {', '.join(unknown)}; known are {', '.join(NAMES)}")

@@ -9,9 +9,7 @@ import numpy as np
 
 from adagmm_bench.commands.kinect import found as found_scene
 from adagmm_bench.commands.options import (
-    add_data,
-    add_output,
-    add_placement,
+    add_trials,
     check_count,
     data_folder,
     open_journal,
@@ -37,9 +35,7 @@ COLUMNS = ["errors squared, normalised", "directions", "mean", "standard error",
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--trials", type=int, default=REPETITIONS, help="trials a setting (default %(default)s)")
     parser.add_argument("--seeds", type=int, default=2, help="how many, from 0 on (default %(default)s)")
-    add_data(parser)
-    add_placement(parser)
-    add_output(parser, "covariance")
+    add_trials(parser, "covariance")
 
 
 def run(arguments: argparse.Namespace) -> int:

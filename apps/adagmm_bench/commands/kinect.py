@@ -7,10 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from adagmm_bench.commands.options import (
-    add_data,
     add_methods,
-    add_output,
-    add_placement,
+    add_trials,
     chosen_methods,
     chosen_starts,
     data_folder,
@@ -36,9 +34,7 @@ FIGURE_18_SCENE, FIGURE_18_ERROR = "scene_20", 0.1202
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_methods(parser)
-    add_data(parser)
-    add_placement(parser)
-    add_output(parser, "kinect")
+    add_trials(parser, "kinect")
 
 
 def run(arguments: argparse.Namespace) -> int:

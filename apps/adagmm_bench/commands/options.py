@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 from adagmm_bench.journal import Journal
@@ -10,6 +11,7 @@ from adagmm_bench.methods import Method, choose_methods
 from adagmm_bench.models import default_data_folder
 from adagmm_bench.problem import PREPARATIONS
 from adagmm_bench.runner import Placement
+from adagmm_bench.scenes import FramePair, find_frame_pairs
 from adagmm_fusion.files.atomic_file import check_output_file
 from adagmm_fusion.processes.terminal import printable, say
 from adagmm_o3d.errors import InputError
@@ -45,10 +47,13 @@ def add_methods(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_placement(parser: argparse.ArgumentParser) -> None:
+def add_trials(parser: argparse.ArgumentParser, command: str) -> None:
+    """What a command that runs trials takes: --data, where they run, and --output."""
+    add_data(parser)
     parser.add_argument("--workers", type=int, help="local processes (default: one a core)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="run on the Dask cluster of this scheduler instead")
     parser.add_argument("--fresh", action="store_true", help="forget earlier results instead of continuing them")
+    add_output(parser, command)
 
 
 def data_folder(arguments: argparse.Namespace) -> Path | None:
@@ -66,6 +71,18 @@ def check_count(name: str, value: int, most: int = MAX_COUNT) -> None:
         raise InputError(f"{name}: expected {'1 or more' if value < 1 else f'at most {most}'}, got {value}")
 
 
+def say_left_out(lines: Sequence[str]) -> None:
+    for line in lines:
+        say(printable(f"left out {line}"))
+
+
+def usable_frame_pairs(arguments: argparse.Namespace) -> tuple[list[FramePair], list[str]]:
+    """The pairs of the recordings under --data, and why others are left out, which is printed too."""
+    pairs, unusable = find_frame_pairs(data_folder(arguments))
+    say_left_out(unusable)
+    return pairs, unusable
+
+
 def placement(arguments: argparse.Namespace) -> Placement:
     return Placement(arguments.workers, arguments.scheduler)
 
@@ -73,8 +90,7 @@ def placement(arguments: argparse.Namespace) -> Placement:
 def chosen_methods(arguments: argparse.Namespace, dimension: int) -> tuple[list[Method], list[str]]:
     """Methods to run, and why others are left out, which is printed too."""
     chosen, skipped = choose_methods(arguments.methods, dimension)
-    for line in skipped:
-        say(printable(f"left out {line}"))
+    say_left_out(skipped)
     if not chosen:
         raise InputError("methods: none is left to run")
     return chosen, skipped

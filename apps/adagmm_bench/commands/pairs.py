@@ -6,13 +6,12 @@ import argparse
 from collections.abc import Sequence
 
 from adagmm_bench.commands.options import (
-    add_data,
-    add_output,
-    add_placement,
+    add_trials,
     check_count,
     data_folder,
     open_journal,
     placement,
+    say_left_out,
     words,
 )
 from adagmm_bench.methods import METHODS
@@ -24,7 +23,7 @@ from adagmm_bench.report import command_line, machine_note, markdown_table, prin
 from adagmm_bench.runner import run_jobs
 from adagmm_bench.trial import TrialJob
 from adagmm_fusion.files.atomic_file import write_text
-from adagmm_fusion.processes.terminal import printable, say
+from adagmm_fusion.processes.terminal import printable
 from adagmm_o3d.errors import InputError
 
 START = "as-given"
@@ -50,9 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--list", action="store_true", help="name the pairs and end")
     parser.add_argument("--trials", type=int, default=TRIALS, help="of each made pair (default %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of the made pairs (default %(default)s)")
-    add_data(parser)
-    add_placement(parser)
-    add_output(parser, "pairs")
+    add_trials(parser, "pairs")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -62,8 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     methods, without = choose_pair_methods(arguments.methods)
     skipped += without
-    for line in skipped:
-        say(printable(f"left out {line}"))
+    say_left_out(skipped)
     # Pair by pair, so that a worker makes its clouds once.
     jobs = [
         TrialJob(pair, method, START)

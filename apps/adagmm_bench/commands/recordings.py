@@ -9,27 +9,25 @@ from collections.abc import Mapping
 import numpy as np
 
 from adagmm_bench.commands.options import (
-    add_data,
     add_methods,
-    add_output,
-    add_placement,
+    add_trials,
     chosen_methods,
     chosen_starts,
-    data_folder,
     open_journal,
     placement,
     starts_of,
+    usable_frame_pairs,
 )
 from adagmm_bench.methods import METHODS
 from adagmm_bench.pair_report import pair_table, write_pair_report
 from adagmm_bench.report import markdown_table, print_table
 from adagmm_bench.runner import run_jobs
-from adagmm_bench.scenes import RECORDING_PARTNER_DISTANCE, FramePair, find_frame_pairs
+from adagmm_bench.scenes import RECORDING_PARTNER_DISTANCE, FramePair
 from adagmm_bench.summary import summarise
-from adagmm_bench.trial import TrialJob, judge, run_trial
+from adagmm_bench.trial import TrialJob, judge, record_of, run_trial
 from adagmm_fusion.pairs.pipeline import register_pair
 from adagmm_fusion.pairs.settings import Settings
-from adagmm_fusion.processes.terminal import printable, say
+from adagmm_fusion.processes.terminal import printable
 from adagmm_fusion.source_digest import source_digest
 
 END_TO_END = "adagmm-fusion"
@@ -39,15 +37,11 @@ METHODS_BESIDE = ("adagmm", "open3d-point-to-plane", "open3d-gicp", "open3d-gicp
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_methods(parser)
     parser.set_defaults(methods=METHODS_BESIDE, starts=("as-given", "centroids"))
-    add_data(parser)
-    add_placement(parser)
-    add_output(parser, "recordings")
+    add_trials(parser, "recordings")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    pairs, unusable = find_frame_pairs(data_folder(arguments))
-    for line in unusable:
-        say(printable(f"left out {line}"))
+    pairs, unusable = usable_frame_pairs(arguments)
     methods, skipped = chosen_methods(arguments, 3)
     starts = chosen_starts(arguments)
     jobs = [TrialJob(pair, END_TO_END, "as-given") for pair in pairs]
@@ -105,15 +99,12 @@ def run_frame_trial(job: TrialJob) -> dict:
         status, T = "failed", np.eye(4)
     else:
         status, T = "ok", np.asarray(outcome.T_estimate)
-    return {
-        "key": job.key,
-        "method": job.method,
-        "start": job.start,
-        "version": version_of(job.method),
-        "problem": job.problem.facts(),
-        "status": status,
-        "reason": outcome.reason,
-        "seconds": seconds,
-        "cpu_seconds": cpu_seconds,
+    return record_of(
+        job,
+        version_of(job.method),
+        status=status,
+        reason=outcome.reason,
+        seconds=seconds,
+        cpu_seconds=cpu_seconds,
         **judge(job.problem.load(), T, job.problem.partner_distance),
-    }
+    )

@@ -5,10 +5,8 @@ from __future__ import annotations
 import argparse
 
 from adagmm_bench.commands.options import (
-    add_data,
     add_methods,
-    add_output,
-    add_placement,
+    add_trials,
     check_count,
     chosen_methods,
     chosen_starts,
@@ -59,9 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser, dimension: int) -> None:
         help="start rotations up to this about each axis where rotation is not swept (default 15; 180 in 3D: any)",
     )
     add_methods(parser)
-    add_data(parser)
-    add_placement(parser)
-    add_output(parser, f"sim{dimension}d")
+    add_trials(parser, f"sim{dimension}d")
 
 
 def words_of_sweeps(text: str) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from adagmm_bench.methods import METHODS
 from adagmm_bench.methods.ours import register_clouds
 from adagmm_bench.pairs.problem import PairClouds, PairSource, plain_pair
 from adagmm_bench.speed.large import surface_pair
-from adagmm_bench.trial import TrialJob, orthonormal, seed_generators
+from adagmm_bench.trial import TrialJob, orthonormal, record_of, seed_generators
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.evaluation import overlap_ratio, rotation_error_deg
 from adagmm_o3d.trust.verdict import signs
@@ -44,23 +44,20 @@ def run_pair_trial(job: TrialJob[PairSource]) -> dict:
     if status == "ok" and not np.isfinite(T).all():
         status, reason = "failed", "the pose is not finite"
     T = orthonormal(T) if status == "ok" else np.eye(4)
-    return {
-        "key": job.key,
-        "method": job.method,
-        "start": job.start,
-        "version": method.version(),
-        "problem": job.problem.facts(),
-        "status": status,
-        "reason": reason,
-        "seconds": seconds,
-        "cpu_seconds": cpu_seconds,
-        "T_target_source": T.tolist(),
-        "unit": clouds.unit,
-        "centre": clouds.centre.tolist(),
-        "limits": list(clouds.limits),
+    return record_of(
+        job,
+        method.version(),
+        status=status,
+        reason=reason,
+        seconds=seconds,
+        cpu_seconds=cpu_seconds,
+        T_target_source=T.tolist(),
+        unit=clouds.unit,
+        centre=clouds.centre.tolist(),
+        limits=list(clouds.limits),
         **_judged(clouds, T),
         **said,
-    }
+    )
 
 
 def register_pair(name: str, clouds: PairClouds) -> tuple[np.ndarray, dict]:

@@ -53,7 +53,7 @@ def register_tensor_clouds(
     callback_after_iteration: Callback | None,
     viewpoints: tuple[ArrayLike | None, ArrayLike | None],
 ) -> TensorRegistrationResult:
-    """See `registration_adaptive_gmm`; arguments are checked there."""
+    """See `registration_adaptive_gmm`, whose arguments these are; they are checked there."""
     moving, fixed = (cloud.cloud if isinstance(cloud, PreparedCloud) else cloud for cloud in (source, target))
     if moving.device != fixed.device:
         raise InputError(
@@ -156,7 +156,7 @@ def _register_in_place(
     target_colors: ArrayLike | None,
     callback_after_iteration: Callback | None,
 ) -> PointRegistrationResult:
-    """As `register_points`, on the device that the clouds are on, without their points leaving it."""
+    """As `register_points`, whose arguments it takes, on the device that the clouds are on; no point leaves it."""
     from adagmm_o3d.kernels.cuda.clouds.tensors import current_device
     from adagmm_o3d.search.register import register_mixtures
 

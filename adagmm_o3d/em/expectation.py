@@ -68,6 +68,13 @@ class AdaptiveExpectation:
         return float(sums.row_weights.mean() / sums.row_weights.max())
 
 
+def posterior_rule(
+    dimension: int, *, fastest: float = FASTEST, floor: float = FINEST_SIGMA, accelerated: bool = True
+) -> Rule:
+    """How `PosteriorExpectation` lets σ and the share of points without a partner follow the pairs."""
+    return Rule(dimension, floor, fastest, 1.0, LEAST_UNMATCHED, MOST_UNMATCHED, accelerated)
+
+
 class PosteriorExpectation:
     """Every pair weighed by the probability, given both clouds, that its points are the same place.
 
@@ -81,18 +88,14 @@ class PosteriorExpectation:
     def __init__(
         self,
         pairs: Pairs,
-        dimension: int,
+        rule: Rule,
         sigma: float,
         *,
         unmatched: float,
         mutuality: float,
-        fastest: float = FASTEST,
-        floor: float = FINEST_SIGMA,
-        accelerated: bool = True,
         colours: ColourEstimate | None = None,
     ) -> None:
-        self._pairs, self._dimension, self._mutuality = pairs, dimension, mutuality
-        self._rule = Rule(dimension, floor, fastest, 1.0, LEAST_UNMATCHED, MOST_UNMATCHED, accelerated)
+        self._pairs, self._rule, self._mutuality = pairs, rule, mutuality
         self.scale = Scale(sigma, sigma)
         self.unmatched = unmatched
         self._memory = fresh_memory(1)[0]
@@ -130,4 +133,4 @@ class PosteriorExpectation:
         self._colour_sigma = sigma
 
     def _uniform(self) -> float:
-        return uniform_density(self.unmatched, self.scale.target, self._dimension)
+        return uniform_density(self.unmatched, self.scale.target, self._rule.dimension)

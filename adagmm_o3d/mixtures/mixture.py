@@ -26,9 +26,9 @@ from adagmm_o3d.mixtures.checks import (
     typical_variance,
 )
 
-# Between these a factor on a variance leaves all of its digits.
+# A factor between these costs a variance no digit.
 FACTORS = (1e-100, 1e100)
-# Where a mixture keeps what is made of it.
+# The attributes in which a mixture keeps what is made of it.
 KEPT = "_kept_for", "_last_normalised"
 # Where xx, xy, xz, yy, yz and zz stand in a matrix read row by row.
 PACKED = np.array([0, 1, 2, 4, 5, 8])
@@ -164,7 +164,7 @@ class Mixture:
             factor = relative / (self.variances / unit)
             covariances = (self.covariances / unit) * factor[:, None, None]
             largest = self.largest_variances / unit * factor
-        # In units of another point's variance some have no number; their own always gives them one.
+        # Divided by `unit` some covariances overflow or vanish; divided by their own variance none does.
         extreme = ~(np.isfinite(factor) & (factor > FACTORS[0]) & (factor < FACTORS[1]))
         if extreme.any():
             own, wanted = self.variances[extreme], relative[extreme]

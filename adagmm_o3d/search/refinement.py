@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from adagmm_o3d.em.colour import estimate_between
-from adagmm_o3d.em.expectation import FASTEST, LEAST_UNMATCHED, SAMPLED_SIGMA, PosteriorExpectation
+from adagmm_o3d.em.expectation import FASTEST, LEAST_UNMATCHED, SAMPLED_SIGMA, PosteriorExpectation, posterior_rule
 from adagmm_o3d.em.loop import Outcome, expectation_maximisation
 from adagmm_o3d.em.runs import End, Limits, Start, joined, run_starts
 from adagmm_o3d.kernels.update import MOVING, fresh_memory
@@ -27,11 +27,11 @@ from adagmm_o3d.trust.pose_covariance import Fit
 LEVEL = 3
 # Whether steps are extrapolated, see `kernels.cpu.acceleration`: here, where no ends are compared any more.
 ACCELERATED = True
-# Components are made anew when σ has come down to this share of what it was when they were made, or to within this
-# factor of it.
+# σ may fall to the share STEP of itself before the components are made anew. They are made anew if it has come within
+# the factor AT_FLOOR of that.
 STEP, AT_FLOOR = 0.25, 1.2
-# Below SIGMA_FLOOR it is clear which parts of dense clouds belong together: σ falls faster, and one posterior of a pair
-# does.
+# Below SIGMA_FLOOR it is clear which parts of dense clouds belong together: σ may fall faster, and the posterior that a
+# pair has from the source's side is enough.
 FASTEST_BELOW = 0.5
 
 Observe = Callable[[Iteration], None]
@@ -74,13 +74,10 @@ def refine(
         pairs = make_pair_loop(*sides, device)
         expectation = PosteriorExpectation(
             pairs,
-            levels.source.dimension,
+            posterior_rule(levels.source.dimension, fastest=fastest, floor=floor, accelerated=ACCELERATED),
             fit.sigma,
             unmatched=fit.unmatched,
             mutuality=mutuality,
-            fastest=fastest,
-            floor=floor,
-            accelerated=ACCELERATED,
             colours=estimate_between(*sides),
         )
         outcome = expectation_maximisation(

@@ -31,7 +31,7 @@ from adagmm_o3d.search.refinement import refine
 from adagmm_o3d.search.schedule import SCHEDULE
 from adagmm_o3d.trust import verdict
 from adagmm_o3d.trust.color_support import color_support
-from adagmm_o3d.trust.conclusion import conclude, lower
+from adagmm_o3d.trust.conclusion import Answers, conclude, lower
 from adagmm_o3d.trust.judge import JUDGED, Judge
 from adagmm_o3d.trust.partners import no_partners, partners_at
 from adagmm_o3d.trust.pose_covariance import Fit, uncertainty_out
@@ -162,12 +162,9 @@ def register_mixtures(
         normalisation,
         moving,
         fixed,
+        Answers(find_partners, assess, weigh, compare_colors),
         ambiguous=ambiguous,
-        find_partners=find_partners,
-        assess=assess,
-        weigh=weigh,
         colour=None if fit is None else fit.colour,
-        compare_colors=compare_colors,
     )
 
 
@@ -259,10 +256,8 @@ def _stay(
         normalisation,
         moving,
         fixed,
+        Answers(partial(partners_at, moving, fixed, pose), _unknown, _none),
         ambiguous=False,
-        find_partners=partial(partners_at, moving, fixed, pose),
-        assess=_unknown,
-        weigh=_none,
     )
     start = np.eye(dimension + 1) if init is None else np.array(init, np.float64)
     return replace(result, transformation=start, transformations=start[None].copy())

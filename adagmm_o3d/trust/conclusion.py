@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,19 +26,25 @@ from adagmm_o3d.result import (
 LARGEST_SIGMA = 0.01
 
 
+class Answers(NamedTuple):
+    """What a result finds out only when it is asked; see the fields of `PointRegistrationResult`."""
+
+    find_partners: Callable[[], Partners]
+    assess: Callable[[], PoseUncertainty]
+    weigh: Callable[[], Verdict | None]
+    compare_colors: Callable[[], Array] | None = None
+
+
 def conclude(
     start: Array,
     outcome: Outcome,
     normalisation: Normalisation,
     source: Mixture,
     target: Mixture,
+    answers: Answers,
     *,
     ambiguous: bool,
-    find_partners: Callable[[], Partners],
-    assess: Callable[[], PoseUncertainty],
-    weigh: Callable[[], Verdict | None],
     colour: ColourModel | None = None,
-    compare_colors: Callable[[], Array] | None = None,
 ) -> PointRegistrationResult:
     """The result of normalised mixtures in input units."""
     poses = np.array([start, *(i.pose for i in outcome.iterations)])
@@ -55,11 +62,11 @@ def conclude(
         regularised_target=target.regularised,
         ambiguous=ambiguous,
         doubts=_doubts(outcome, ambiguous),
-        find_partners=Deferred(find_partners),
-        assess=Deferred(assess),
-        weigh=Deferred(weigh),
+        find_partners=Deferred(answers.find_partners),
+        assess=Deferred(answers.assess),
+        weigh=Deferred(answers.weigh),
         color=None if colour is None else ColorFit(colour.deviations, colour.lying, colour.gain, colour.offset),
-        compare_colors=None if compare_colors is None else Deferred(compare_colors),
+        compare_colors=None if answers.compare_colors is None else Deferred(answers.compare_colors),
     )
 
 

@@ -47,7 +47,7 @@ from adagmm_o3d.trust.copies import are_copies
 from adagmm_o3d.trust.held_by_colour import free_of_colours
 from adagmm_o3d.trust.observability import free_directions, generalised_eigen
 
-# Of larger clouds that many points' scores are looked at, and their sums stand for those of all.
+# At most so many points of a cloud are looked at; their sums stand for those of all.
 SCORED = 1000
 # The edge of a block, in radii: beyond the reach of the pairs, and small enough for a hundred blocks on a surface.
 BLOCK = 0.25

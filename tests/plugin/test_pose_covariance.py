@@ -9,7 +9,7 @@ import pytest
 from mixtures import random_points_and_covariances, random_pose
 from shapes import bumpy, move, turn
 
-from adagmm_o3d.em.expectation import PosteriorExpectation
+from adagmm_o3d.em.expectation import PosteriorExpectation, posterior_rule
 from adagmm_o3d.em.loop import expectation_maximisation
 from adagmm_o3d.em.m_step import FREE
 from adagmm_o3d.em.unmatched import uniform_density
@@ -43,7 +43,7 @@ class Registered:
         self.free = FREE[dimension]
         self.truth = self.normalisation.pose_in(lifted(truth))
         self.pairs = PairLoop(self.source, self.target)
-        em = PosteriorExpectation(self.pairs, dimension, 0.01, unmatched=0.1, mutuality=mutuality)
+        em = PosteriorExpectation(self.pairs, posterior_rule(dimension), 0.01, unmatched=0.1, mutuality=mutuality)
         outcome = expectation_maximisation(em, self.truth, Criteria(1e-6, 300), dimension)
         self.fit = Fit(outcome.pose, em.scale.target, em.unmatched, mutuality)
 

@@ -9,7 +9,7 @@ from mixtures import random_points_and_covariances, random_pose
 from shapes import body_with_head, move
 
 from adagmm_o3d import TransformationEstimationForAdaptiveGMM, register_points
-from adagmm_o3d.em.expectation import LEAST_UNMATCHED, SAMPLED_SIGMA, PosteriorExpectation
+from adagmm_o3d.em.expectation import LEAST_UNMATCHED, SAMPLED_SIGMA, PosteriorExpectation, posterior_rule
 from adagmm_o3d.em.loop import expectation_maximisation
 from adagmm_o3d.em.runs import Limits, Start, run_starts
 from adagmm_o3d.mixtures.merging import sample
@@ -54,12 +54,10 @@ def in_python(sides, start, relaxation):
     dimension = sides[0].dimension
     expectation = PosteriorExpectation(
         PairLoop(*sides),
-        dimension,
+        posterior_rule(dimension, fastest=start.fastest, floor=SAMPLED_SIGMA),
         start.sigma,
         unmatched=start.unmatched,
         mutuality=0.0,
-        fastest=start.fastest,
-        floor=SAMPLED_SIGMA,
     )
     criteria = replace(CRITERIA, max_iteration=start.iterations)
     outcome = expectation_maximisation(expectation, start.pose, criteria, dimension, relaxation=relaxation)

@@ -14,7 +14,7 @@ from cuda_cases import (
     spoil,
 )
 
-from adagmm_o3d.em.expectation import AdaptiveExpectation, PosteriorExpectation
+from adagmm_o3d.em.expectation import AdaptiveExpectation, PosteriorExpectation, posterior_rule
 from adagmm_o3d.em.loop import expectation_maximisation
 from adagmm_o3d.em.sigma_rules import NearestDistance
 from adagmm_o3d.kernels.cuda import adaptive_rows
@@ -164,7 +164,7 @@ def vectors(sums):
 
 
 def posterior(loop):
-    return PosteriorExpectation(loop, 3, 0.3, unmatched=0.3, mutuality=0.5)
+    return PosteriorExpectation(loop, posterior_rule(3), 0.3, unmatched=0.3, mutuality=0.5)
 
 
 def adaptive(loop):

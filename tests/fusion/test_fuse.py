@@ -343,7 +343,8 @@ def test_what_became_of_the_frames_is_saved_by_default(walk, tmp_path):
     logged = {str(column) for column in reader.store().schema().component_columns()}
     for entity in ("world/camera/image/rgb", "world/loops/kept", "log10/translation_error_mm", "report", "guide"):
         assert any(f"/{entity}:" in column for column in logged), entity
-    assert any("/world/ways/" in column and "/truth:" in column for column in logged)
+    for root in ("/world/ways/", "/world/true_ways/"):
+        assert any(root in column and "LineStrips3D" in column for column in logged), root
     assert fuse(walk, tmp_path / "without", "--no-rerun") == 0
     assert list((tmp_path / "without").glob("*.rrd")) == []
 

@@ -8,7 +8,8 @@
     /world/truth/source       where the calibration puts it
     /world/fused              the surface of all sensors at the estimate, textured
     /world/eye                from where the views look
-    /world/ways/<sensor>      where each frame of a whole recording was taken, and below it where it truly was
+    /world/ways/<sensor>      where each frame of a whole recording was taken
+    /world/true_ways/<sensor> where it truly was
     /world/loops              registrations between the frames
     /world/camera             the frame of the timeline
 
@@ -23,6 +24,7 @@ INITIAL = f"{WORLD}/initial"
 TRUTH = f"{WORLD}/truth"
 FUSED = f"{WORLD}/fused"
 WAYS = f"{WORLD}/ways"
+TRUE_WAYS = f"{WORLD}/true_ways"
 LOOPS = f"{WORLD}/loops"
 DIFFERENCE = f"{WORLD}/difference"
 EYE = f"{WORLD}/eye"

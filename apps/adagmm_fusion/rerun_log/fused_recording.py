@@ -11,12 +11,12 @@ import rerun.blueprint as rrb
 from adagmm_fusion.frames.rgbd import RGBDFrame
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh
 from adagmm_fusion.rerun_log import entities
-from adagmm_fusion.rerun_log.cameras import FRUSTUM_DEPTH, FRUSTUM_LINE_WIDTH, log_frustum, log_pose
+from adagmm_fusion.rerun_log.cameras import FRUSTUM_DEPTH, log_frustum, log_pose
 from adagmm_fusion.rerun_log.colors import BAD_COLOR, GOOD_COLOR, SOURCE_COLOR, TRUTH_COLOR
 from adagmm_fusion.rerun_log.entities import FUSED_CAMERA
 from adagmm_fusion.rerun_log.guide import log_guide
 from adagmm_fusion.rerun_log.iterations import LEAST_SHOWN
-from adagmm_fusion.rerun_log.legends import RESIDUAL_RAMP, ramp_colors
+from adagmm_fusion.rerun_log.legends import ramp_colors
 from adagmm_fusion.rerun_log.meshes import TWO_SIDED, log_textured_mesh
 from adagmm_fusion.rerun_log.views import Eye, curve, image, scene
 from adagmm_fusion.rerun_log.when import When
@@ -28,8 +28,10 @@ from adagmm_o3d.lie import se_inverse
 
 # What is drawn of a camera lies within these corners about its place.
 CAMERA_CORNERS = FRUSTUM_DEPTH * np.array(((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)))
-# The width of a way's line, as a share of its extent.
-LINE_SHARE = 0.01
+# In the viewer's points, however near the eye is.
+LINE_RADIUS, PLACE_RADIUS, EDGE_RADIUS = (rr.Radius.ui_points(points) for points in (1.5, 4.0, 1.0))
+# Of kept registrations: those that agree with the poses, up to those that are as far off as the pose graph bears.
+KEPT_RAMP = np.array(((105, 110, 125), (250, 220, 80)))
 WORST_SHOWN = 20
 FRAME_JPEG_QUALITY = 60  # there may be a thousand
 MILLIMETRES_PER_METRE = 1000.0
@@ -72,14 +74,14 @@ def fused_blueprint(vertices: np.ndarray, poses: Mapping[int, np.ndarray]) -> rr
     """
     points, places = np.asarray(vertices), np.array([pose[:3, 3] for pose in poses.values()])
     whole, way = Eye.seeing([points, places + CAMERA_CORNERS[0], places + CAMERA_CORNERS[1]]), Eye.seeing([places])
-    ways = dict.fromkeys((entities.FUSED, f"{entities.WAYS}/**", FUSED_CAMERA.image))
-    loops = dict.fromkeys((f"{entities.WAYS}/**", f"{entities.LOOPS}/**"))
+    ways = dict.fromkeys((entities.FUSED, f"{entities.WAYS}/**", f"{entities.TRUE_WAYS}/**", FUSED_CAMERA.image))
+    loops = dict.fromkeys((f"{entities.LOOPS}/**", f"{entities.WAYS}/**", f"{entities.TRUE_WAYS}/**"))
     ate = entities.log10_of(entities.TRANSLATION_ERROR_MM)
     page = rrb.Horizontal(
         rrb.Vertical(
             scene("Fused: estimate orange, truth green", ways, whole),
             rrb.Horizontal(
-                scene("Registrations: by residual, dropped red", loops, way),
+                scene("Registrations: off yellow, dropped red", loops, way),
                 curve("Off along the way mm, log₁₀", ate),
             ),
             row_shares=[3, 2],
@@ -160,11 +162,11 @@ def fused_report(fused: FusedRecording, residuals: Sequence[EdgeResidual], error
         lines += [f"Left out, their pose is not known: {', '.join(map(str, fused.left_out))}.", ""]
     lines += [f"{len(residuals) - dropped} registrations used, {dropped} dropped, {refused} refused.", ""]
     if residuals:
-        lines += ["| source | target | off mm | |", "|--:|--:|--:|:--|"]
+        lines += ["| source | target | off mm |" + " |" * bool(dropped), "|--:|--:|--:|" + ":--|" * bool(dropped)]
         worst_first = sorted(residuals, key=lambda residual: (residual.kept, -residual.off_mm))
         for residual in worst_first[:WORST_SHOWN]:
-            mark = "" if residual.kept else "× dropped"
-            lines.append(f"| {residual.edge.source} | {residual.edge.target} | {residual.off_mm:.0f} | {mark} |")
+            row = f"| {residual.edge.source} | {residual.edge.target} | {residual.off_mm:.0f} |"
+            lines.append(row if not dropped else f"{row} {'' if residual.kept else '× dropped'} |")
     return "\n".join(lines)
 
 
@@ -182,26 +184,18 @@ def _log_mesh(rec: rr.RecordingStream, mesh: TexturedMesh | o3d.geometry.Triangl
     rec.log(entities.FUSED, archetype, static=True)
 
 
-def line_width(fused: FusedRecording) -> float:
-    """Of the ways [m]: thin beside their extent, and never thicker than cameras are drawn."""
-    places = np.array([pose[:3, 3] for pose in fused.poses.values()])
-    return min(FRUSTUM_LINE_WIDTH, max(LINE_SHARE * float(np.ptp(places, axis=0).max()), 1e-4))
-
-
 def _log_ways(rec: rr.RecordingStream, fused: FusedRecording, aligned: Mapping[int, np.ndarray]) -> None:
-    width = line_width(fused)
     for sensor in dict.fromkeys(fused.sensors.values()):
         frames = [frame for frame in sorted(fused.poses) if fused.sensors[frame] == sensor]
-        entity = f"{entities.WAYS}/{entity_part(sensor)}"
         ways = {
-            entity: (np.array([fused.poses[frame][:3, 3] for frame in frames]), SOURCE_COLOR),
-            f"{entity}/truth": (np.array([aligned[frame] for frame in frames if frame in aligned]), TRUTH_COLOR),
+            entities.WAYS: (np.array([fused.poses[frame][:3, 3] for frame in frames]), SOURCE_COLOR),
+            entities.TRUE_WAYS: (np.array([aligned[frame] for frame in frames if frame in aligned]), TRUTH_COLOR),
         }
-        for name, (places, color) in ways.items():
+        for root, (places, color) in ways.items():
             if len(places):
-                line = rr.LineStrips3D([places], colors=color, radii=width)
-                rec.log(name, line, static=True)
-                rec.log(name, rr.Points3D(places, colors=color, radii=2 * width), static=True)
+                line = rr.LineStrips3D([places], colors=color, radii=LINE_RADIUS)
+                points = rr.Points3D(places, colors=color, radii=PLACE_RADIUS)
+                rec.log(f"{root}/{entity_part(sensor)}", line, points, static=True)
 
 
 def _log_edges(rec: rr.RecordingStream, fused: FusedRecording, residuals: Sequence[EdgeResidual]) -> None:
@@ -212,8 +206,8 @@ def _log_edges(rec: rr.RecordingStream, fused: FusedRecording, residuals: Sequen
         ends = np.array([(residual.edge.source, residual.edge.target) for residual in chosen])
         strips = [[fused.ends[frame][:3, 3] for frame in pair] for pair in ends]
         residual_mm = np.array([residual.off_mm for residual in chosen])
-        colors = ramp_colors(residual_mm, MILLIMETRES_PER_METRE * LOOP_TOLERANCE_M, RESIDUAL_RAMP)
-        lines = rr.LineStrips3D(strips, colors=colors if wanted else BAD_COLOR, radii=0.5 * line_width(fused))
+        colors = ramp_colors(residual_mm, MILLIMETRES_PER_METRE * LOOP_TOLERANCE_M, KEPT_RAMP)
+        lines = rr.LineStrips3D(strips, colors=colors if wanted else BAD_COLOR, radii=EDGE_RADIUS)
         numbers = rr.AnyValues(source_frame=ends[:, 0], target_frame=ends[:, 1], residual_mm=residual_mm)
         rec.log(f"{entities.LOOPS}/{name}", lines, numbers, static=True)
 

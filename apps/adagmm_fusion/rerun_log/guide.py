@@ -37,6 +37,9 @@ the plots is where you are.
 **Points.** Click on one: the panel on the right (top right button) tells its weight, residual, partner
 (−1: none) and variance. Features in the images tell how many pixels the end is off at them.
 
+**Fused sequences.** Registrations between frames are grey where they agree with the poses, yellow where they are
+0.25 m off; red ones contradict the others, and the pose graph dropped them.
+
 **Why.** *Who pulls*: dark points count for nothing, bright ones decide. *How far off*: green to red, grey
 without partner. *Who has a partner*: green has one, grey is out of sight, red is contradicted.
 *What colour says*: green for a point's partners, red against them, grey where colours do not count. Red areas that

@@ -1,4 +1,5 @@
-"""A few values in place of many: a random part, the same one every time, and quantiles that are values themselves."""
+"""A few values in place of many: a random part, the same one every time, each place once, and quantiles that are values
+themselves."""
 
 from __future__ import annotations
 
@@ -13,6 +14,15 @@ def some_of(index: NDArray[np.intp], count: int) -> NDArray[np.intp]:
     if len(index) <= count:
         return index
     return np.sort(np.random.default_rng(0).permutation(index)[:count])
+
+
+def distinct_places(points: Array) -> NDArray[np.intp]:
+    """The first index of each different one of (n, 3) points, in ascending order of the points."""
+    order = np.lexsort(points.T[::-1])  # several times as fast as np.unique is along an axis
+    ordered = points[order]
+    another = np.full(len(points), True)
+    another[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    return order[another]
 
 
 def quantile(values: Array, share: float) -> Array:

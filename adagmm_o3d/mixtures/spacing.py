@@ -9,7 +9,7 @@ import numpy as np
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.kernels.cpu.nearest_other import nearest_other_sq
 from adagmm_o3d.mixtures.mixture import Mixture
-from adagmm_o3d.mixtures.sampling import quantile, some_of
+from adagmm_o3d.mixtures.sampling import distinct_places, quantile, some_of
 
 # How many points are asked for their nearest neighbour, and among how many at most.
 PROBES, PROBED = 150, 20_000
@@ -17,7 +17,7 @@ PROBES, PROBED = 150, 20_000
 
 def spacing_of(points: Array) -> float:
     """Median distance from one of (n, 3) points to its nearest neighbour in another place, from a few probes."""
-    points = np.unique(points, axis=0)
+    points = points[distinct_places(points)]
     probes = some_of(np.arange(len(points)), PROBES)
     squares = np.empty(len(probes))
     nearest_other_sq(np.ascontiguousarray(points.T), probes, squares)

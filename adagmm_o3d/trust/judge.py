@@ -20,7 +20,7 @@ from adagmm_o3d.em.runs import Limits, Start, run_starts
 from adagmm_o3d.lie import se_inverse
 from adagmm_o3d.mixtures.merging import MergedMixture
 from adagmm_o3d.mixtures.mixture import Mixture
-from adagmm_o3d.mixtures.sampling import quantile, some_of
+from adagmm_o3d.mixtures.sampling import distinct_places, quantile, some_of
 from adagmm_o3d.mixtures.spacing import spacing_of
 from adagmm_o3d.trust.free_space import RangeImage
 
@@ -118,7 +118,7 @@ class Judge:
 
 def _distinct(side: MergedMixture) -> MergedMixture:
     """Without points that are given again, of which one half of a cloud would know too well where the others are."""
-    first = np.unique(side.points, axis=0, return_index=True)[1]
+    first = distinct_places(side.points)
     return side if len(first) == len(side.points) else side.take(np.sort(first))
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from adagmm_o3d.mixtures.sampling import quantile, some_of
+from adagmm_o3d.mixtures.sampling import distinct_places, quantile, some_of
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 10, 101])
@@ -29,3 +29,12 @@ def test_some_are_chosen_from_all_over_and_always_the_same():
     assert len(chosen) == len(np.unique(chosen)) == 200 and np.isin(chosen, index).all()
     assert (np.diff(chosen) > 0).all() and abs(chosen.mean() - index.mean()) < 50
     np.testing.assert_array_equal(some_of(index, 1000), index)
+
+
+def test_each_place_counts_once():
+    points = np.random.default_rng(0).integers(-2, 3, (60, 3)).astype(float)
+    points[points == 0.0] *= -1.0  # minus zero is the same place
+    places, first = np.unique(points, axis=0, return_index=True)
+    np.testing.assert_array_equal(distinct_places(points), first)
+    np.testing.assert_array_equal(points[distinct_places(points)], places)
+    assert len(distinct_places(np.empty((0, 3)))) == 0

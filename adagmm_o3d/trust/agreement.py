@@ -44,7 +44,7 @@ class Surface:
 
     def __init__(self, points: Array, dimension: int) -> None:
         self.points = np.ascontiguousarray(points)
-        self._dimension = dimension
+        self.dimension = dimension
         self.normals, scatter = surface_normals(self.points, dimension, NEIGHBORS[dimension])
         self.flat = scatter < FLAT
         self.spacing = spacing_of(self.points)
@@ -52,7 +52,7 @@ class Surface:
 
     def halves(self) -> tuple[Surface, Surface]:
         """Every other point, and the rest."""
-        return Surface(self.points[::2], self._dimension), Surface(self.points[1::2], self._dimension)
+        return Surface(self.points[::2], self.dimension), Surface(self.points[1::2], self.dimension)
 
 
 def agreement(source: Surface, target: Surface, pose: Array) -> Agreement:
@@ -68,13 +68,14 @@ def _share_of(near: Mask, on: Mask) -> float:
 
 def _near_and_on(source: Surface, target: Surface, pose: Array) -> tuple[Mask, Mask]:
     """Of each point of both clouds, whether it is near the other one, and whether it is on its surface."""
-    spacing = max(source.spacing, target.spacing)
-    sides = [_seen_from(source, target, pose, spacing), _seen_from(target, source, se_inverse(pose), spacing)]
+    sides = [near_and_on(source, target, pose), near_and_on(target, source, se_inverse(pose))]
     near, on = (np.concatenate(part) for part in zip(*sides, strict=True))
     return near, on
 
 
-def _seen_from(own: Surface, other: Surface, pose: Array, spacing: float) -> tuple[Mask, Mask]:
+def near_and_on(own: Surface, other: Surface, pose: Array) -> tuple[Mask, Mask]:
+    """The same of each point of one cloud, which a pose (4, 4) moves to the other."""
+    spacing = max(own.spacing, other.spacing)
     moved, normals = own.points @ pose[:3, :3].T + pose[:3, 3], own.normals @ pose[:3, :3].T
     indices, squares = other.index.query(moved)
     nearest, near = indices[:, 0], squares[:, 0] < max(NEAR * spacing, 2.0 * BENT) ** 2

@@ -21,6 +21,7 @@ import numpy as np
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.result import LEAST_BELIEF, Verdict
 from adagmm_o3d.trust.agreement import Surface, agreement
+from adagmm_o3d.trust.edges import share_beyond_edges
 from adagmm_o3d.trust.judge import JUDGED, Judge
 from adagmm_o3d.trust.mirror import fit_mirror_image
 from adagmm_o3d.trust.rivals import half_turned
@@ -30,10 +31,13 @@ from adagmm_o3d.trust.scale import estimate_scale
 LEAST_POINTS = 30
 # The margin of a rival counts within these bounds, and shares from this one up.
 MARGINS, LEAST = (-0.5, 0.5), 0.05
-# By so much the mirror image of the source has to explain the clouds better [nats per point], and so much more of both
-# clouds has to agree, to speak against a pose of so many points; of fewer by more, as chance grows with the root of it.
-# Bodies that are their own image reach 0.1 and 0.01, of 240 points 0.5 and 0.1.
-MIRRORED, MORE, OF_POINTS = 0.15, 0.04, 2 * JUDGED
+# The mirror image of the source speaks against a pose where it explains the clouds better by so much [nats per point],
+# where so much more of both agrees, of so many points (of fewer by more, as chance grows with the root of it), and
+# where that is nearly all. Bodies that are their own image reach 0.1 and 0.01, of 240 points 0.5 and 0.1.
+MIRRORED, MORE, OF_POINTS, NEARLY_ALL = 0.15, 0.04, 2 * JUDGED, 0.9
+# But the left half of such a body is the image of its right half: it does not speak against a pose that leaves so much
+# of what is not shared beyond an edge of the clouds. Of such halves it is 0.97, of mirrored bodies 0.1 to 0.4.
+BEYOND = 0.7
 # Of the signs in their order, and the constant.
 WEIGHTS, CONSTANT = (11.9, 3.0, 6.9), 0.5
 
@@ -60,7 +64,9 @@ def weigh(judge: Judge, pose: Array, *, turned: bool) -> Verdict:
     if image.margin < chance * MIRRORED:
         return verdict
     reflected = Surface(image.source.points, sides[0].dimension)
-    if agreement(reflected, target, image.pose).share < agreed.share + chance * MORE:
+    if agreement(reflected, target, image.pose).share < max(agreed.share + chance * MORE, NEARLY_ALL):
+        return verdict
+    if share_beyond_edges(source, target, pose) > BEYOND:
         return verdict
     # a rival like half a turn
     verdict = replace(verdict, mirrored=True, margin=min(margin, -image.margin))

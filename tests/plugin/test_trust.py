@@ -13,6 +13,7 @@ from adagmm_o3d.mixtures.mixture import make_mixture
 from adagmm_o3d.mixtures.normalisation import normalise
 from adagmm_o3d.trust.agreement import Surface, agreement
 from adagmm_o3d.trust.copies import are_copies
+from adagmm_o3d.trust.edges import share_beyond_edges
 from adagmm_o3d.trust.partners import partners_at
 from adagmm_o3d.trust.scale import estimate_scale
 from adagmm_o3d.trust.verdict import MARGINS, believe
@@ -107,9 +108,9 @@ def mirror(dimension):
 def mirrored(rng, trial):
     dimension = 2 + trial % 2
     n = (120, 900)[trial % 2]
+    source, target = (noisy(rng, body_with_head(rng, n, dimension)) for _ in range(2))
     T = twist(rng, dimension, rng.uniform(0.0, 0.3)) if trial >= 6 else np.eye(dimension + 1)
-    target = noisy(rng, body_with_head(rng, n, dimension)) @ mirror(dimension)
-    return noisy(rng, body_with_head(rng, n, dimension)), move(target, T), None
+    return source, move(target @ mirror(dimension), T), None
 
 
 def mirrored_but_for_a_tenth(rng, trial):
@@ -122,7 +123,7 @@ def mirrored_but_for_a_tenth(rng, trial):
 
 def mirrored_and_more(rng, trial):
     """Of another size as well, or sheared."""
-    more = (1.05 * np.eye(3), np.eye(3) + 0.1 * np.eye(3)[[1, 0, 2]] * [[1.0], [0.0], [0.0]])[trial % 2]
+    more = (1.05 * np.eye(3), np.eye(3) + 0.05 * np.eye(3)[[1, 0, 2]] * [[1.0], [0.0], [0.0]])[trial % 2]
     source, target = (noisy(rng, body_with_head(rng, 900, 3)) for _ in range(2))
     return source, move(target @ mirror(3) @ more, twist(rng, 3, rng.uniform(0.0, 0.3))), None
 
@@ -136,6 +137,17 @@ def own_mirror_image(rng, trial):
         half = bumpy(rng, 2 * n, dimension)[:, ::-1]
         clouds.append(noisy(rng, np.concatenate([half[:n], half[n:] @ mirror(dimension)])))
     T = twist(rng, dimension, rng.uniform(0.0, 0.3))
+    return clouds[0], move(clouds[1], T), T
+
+
+def parts_of_own_mirror_image(rng, trial):
+    """Parts of a body that is its own mirror image, of which the image shares more than they do."""
+    direction = np.array([0.0, rng.normal(scale=0.3), 1.0])  # mostly across the plane of symmetry
+    clouds = []
+    for side in (1.0, -1.0):
+        points = bumpy(rng, 1400, 3)
+        clouds.append(noisy(rng, points[side * points @ direction > -0.25]))
+    T = twist(rng, 3, rng.uniform(0.0, 0.2))
     return clouds[0], move(clouds[1], T), T
 
 
@@ -170,6 +182,7 @@ def outcome(source, target, T):
         (mirrored_but_for_a_tenth, 4, 0, 0),
         (mirrored_and_more, 4, 0, 0),
         (own_mirror_image, 6, 0, 0),
+        (parts_of_own_mirror_image, 4, 0, 0),
         (another_size, 4, 0, 0),
     ],
     ids=lambda value: getattr(value, "__name__", str(value)),
@@ -223,6 +236,21 @@ def test_surfaces_agree_where_they_meet():
     # swapped it is the same
     swapped = agreement(other, one, np.eye(4))
     assert swapped == right
+
+
+def test_what_lies_beyond_an_edge_is_told_from_what_differs():
+    rng = np.random.default_rng(8)
+    whole = [bumpy(rng, 1400, 3) for _ in range(2)]
+    parts = [
+        Surface(noisy(rng, points[sign * points[:, 2] > -0.1]), 3) for points, sign in zip(whole, (1, -1), strict=True)
+    ]
+    assert share_beyond_edges(*parts, np.eye(4)) > 0.9
+    bodies = [Surface(noisy(rng, body_with_head(rng, 900, 3)) @ flip, 3) for flip in (np.eye(3), np.diag([1, 1, -1]))]
+    assert share_beyond_edges(*bodies, np.eye(4)) < 0.4
+    # whichever comes first
+    assert share_beyond_edges(*bodies[::-1], np.eye(4)) == share_beyond_edges(*bodies, np.eye(4))
+    # clouds that are one have nothing beyond
+    assert share_beyond_edges(bodies[0], bodies[0], np.eye(4)) == 0.0
 
 
 def test_belief_grows_with_each_sign():

@@ -92,6 +92,12 @@ def test_links_lead_somewhere(page):
             assert (page.parent / link).exists(), link
 
 
+def test_the_readme_is_short():
+    text = re.sub(r"```.*?```", "", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.DOTALL)
+    prose = [line for line in text.splitlines() if not line.startswith(("    ", "|"))]
+    assert len(re.sub(r"\]\([^)]*\)", "]", "\n".join(prose)).split()) <= 900
+
+
 def names(program):
     return next(a for a in PROGRAMS[program]._actions if isinstance(a, argparse._SubParsersAction)).choices
 

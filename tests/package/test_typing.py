@@ -1,5 +1,7 @@
 """A user's strict type check sees our types: of results, of `.details`, and of arguments that are wrong."""
 
+import importlib.util
+import json
 import os
 import re
 import subprocess
@@ -35,6 +37,7 @@ registration_adaptive_gmm(tensor, tensor, 0.05).details.overlop
 prepare(cloud, [[[1.0]]])
 registration_adaptive_gmm(tensor, prepare(cloud), 0.05)
 """
+WRONG = set(range(5, len(BAD.splitlines()) + 1))
 
 
 @pytest.fixture(scope="module")
@@ -69,8 +72,27 @@ def test_a_strict_script_has_no_errors_and_its_results_have_types(checked):
 def test_wrong_arguments_are_errors(checked):
     out, bad = checked
     wrong = {int(line.split(":")[1]) for line in out.splitlines() if f"{bad.name}:" in line and "error:" in line}
-    lines = BAD.splitlines()
-    assert wrong == set(range(5, len(lines) + 1))
+    assert wrong == WRONG
+
+
+@pytest.mark.skipif(importlib.util.find_spec("pyright") is None, reason="needs pyright")
+def test_pyright_agrees(tmp_path):
+    (tmp_path / "bad.py").write_text(BAD)
+    (tmp_path / "good.py").write_text(GOOD.read_text())
+    settings = {"typeCheckingMode": "strict", "extraPaths": [str(ROOT)], "include": ["*.py"]}
+    (tmp_path / "pyrightconfig.json").write_text(json.dumps(settings))
+    done = subprocess.run(
+        [sys.executable, "-m", "pyright", "--pythonpath", sys.executable, "--outputjson"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
+    said = json.loads(done.stdout)["generalDiagnostics"]
+    errors = [(os.path.basename(d["file"]), d["range"]["start"]["line"] + 1) for d in said if d["severity"] == "error"]
+    assert set(errors) == {("bad.py", line) for line in WRONG}, said
+    revealed = [d["message"].rpartition(" is ")[2].strip('"') for d in said if d["severity"] == "information"]
+    short = [re.sub(r"\b(numpy|adagmm_o3d\.result)\.", "", kind) for kind in REVEALED]
+    assert revealed == short
 
 
 def test_the_type_of_a_device_names_the_devices():

@@ -31,7 +31,7 @@ from adagmm_fusion.rerun_log import (
 )
 from adagmm_fusion.rerun_log.blueprint import STAGES
 from adagmm_fusion.rerun_log.ellipsoids import chosen_points
-from adagmm_fusion.rerun_log.eyes import ASPECT, FIELD_OF_VIEW, eye_pose
+from adagmm_fusion.rerun_log.eyes import ASPECT, FIELD_OF_VIEW, NARROW, eye_pose
 from adagmm_fusion.rerun_log.guide import GUIDE
 from adagmm_fusion.rerun_log.headless_viewer import RERUN
 from adagmm_fusion.rerun_log.iterations import CURVES
@@ -540,12 +540,13 @@ def test_eye_looks_at_what_there_is():
     assert np.mean(cosines > np.cos(np.radians(35.0))) > 0.95
 
 
+@pytest.mark.parametrize("aspect", [ASPECT, NARROW])
 @pytest.mark.parametrize("off", [(0.0, 0.0, 0.0), (6.0, -3.0, 2.0), (0.0, 0.0, -9.0)])
-def test_the_eye_of_a_pair_sees_a_source_that_flew_off(off):
+def test_the_eye_of_a_pair_sees_a_source_that_flew_off(off, aspect):
     source, target = (np.asarray(cloud.points) for cloud in room_clouds())
     clouds = [target, source + off]
-    T = eye_pose(clouds)
+    T = eye_pose(clouds, aspect)
     for cloud in clouds:
         x, y, z = ((cloud - T[:3, 3]) @ T[:3, :3]).T
         inside = (z > 0) & (np.abs(y) < np.tan(0.5 * FIELD_OF_VIEW) * z)
-        assert np.mean(inside & (np.abs(x) < ASPECT * np.tan(0.5 * FIELD_OF_VIEW) * z)) > 0.85
+        assert np.mean(inside & (np.abs(x) < aspect * np.tan(0.5 * FIELD_OF_VIEW) * z)) > 0.85

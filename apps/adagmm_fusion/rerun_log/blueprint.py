@@ -78,7 +78,7 @@ def _overview() -> rrb.Horizontal:
         _scenes_of_stages(),
         rrb.Horizontal(
             scene("Result: cameras truth green, estimate orange, start blue", RESULT, entities.EYE_WITH_SENSORS),
-            scene("Covariances σ·Σ, three standard deviations", COVARIANCES, entities.EYE),
+            scene("Covariances σ·Σ, three standard deviations", COVARIANCES, entities.EYE_AT_END),
         ),
         rrb.Horizontal(*curves),
         row_shares=[5, 5, 3],
@@ -103,7 +103,9 @@ def _why_page() -> rrb.Vertical:
     )
     columns = [
         rrb.Vertical(
-            scene(name, {TARGET.points: DIMMED, SOURCE.points: layer} | dict.fromkeys(UNOBSERVABLE), entities.EYE),
+            scene(
+                name, {TARGET.points: DIMMED, SOURCE.points: layer} | dict.fromkeys(UNOBSERVABLE), entities.EYE_AT_END
+            ),
             legend(legend_entity, LEGEND_SIZE),
             row_shares=[7, 1],
         )

@@ -29,6 +29,7 @@ LOOPS = f"{WORLD}/loops"
 DIFFERENCE = f"{WORLD}/difference"
 EYE = f"{WORLD}/eye"
 EYE_WITH_SENSORS = f"{WORLD}/eye_with_sensors"
+EYE_AT_END = f"{WORLD}/eye_at_end"
 UNOBSERVABLE = f"{WORLD}/unobservable"
 
 METRICS = "metrics"

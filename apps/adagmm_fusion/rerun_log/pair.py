@@ -25,7 +25,7 @@ from adagmm_fusion.rerun_log.colors import (
 from adagmm_fusion.rerun_log.differences import log_difference, log_unobservable
 from adagmm_fusion.rerun_log.ellipsoids import log_covariances
 from adagmm_fusion.rerun_log.entities import INITIAL_SOURCE, RECORDED_SOURCE, SOURCE, TARGET, TRUE_SOURCE
-from adagmm_fusion.rerun_log.eyes import log_eye
+from adagmm_fusion.rerun_log.eyes import NARROW, log_eye
 from adagmm_fusion.rerun_log.guide import log_guide
 from adagmm_fusion.rerun_log.iterations import log_curve_styles, log_estimate_iterations
 from adagmm_fusion.rerun_log.legends import log_legends, log_residual_histogram, why_layers
@@ -153,7 +153,7 @@ def log_refused_pair(
     """
     when = When(frame_index, em_step)
     when.clear(rec, entities.WORLD)
-    for eye in (entities.EYE, entities.EYE_WITH_SENSORS):  # where there is none, a view shows axes
+    for eye in (entities.EYE, entities.EYE_WITH_SENSORS, entities.EYE_AT_END):  # where there is none, a view shows axes
         log_eye(rec, eye, [FRUSTUM_CORNERS], when)
     if before is not None:
         target, source = before.target.intrinsics, before.source.intrinsics
@@ -176,9 +176,10 @@ def _log_eyes(
     T_estimate: np.ndarray,
     when: When,
 ) -> None:
-    """Eyes that see the target, and the source at every stage; one of them the sensors as well."""
+    """Eyes that see the target, and the source at every stage; one of them the sensors as well, one only the end."""
     clouds = [target, source, *(source @ T[:3, :3].T + T[:3, 3] for T in (T_initial, T_estimate))]
     log_eye(rec, entities.EYE, clouds, when)
+    log_eye(rec, entities.EYE_AT_END, [target, clouds[-1]], when, aspect=NARROW)
     poses = [np.eye(4), T_initial, T_estimate, *([] if pair.T_target_source is None else [pair.T_target_source])]
     log_eye(
         rec,

@@ -78,8 +78,9 @@ class Verdict:
     on the other's surface; and of those near it, in units of that share between the halves of one cloud.   margin : by
     how much the pose explains the clouds better than half a turn from there [nats per point]; infinity where that is
     the same.   scale : factor by which the source would have to be scaled, where its size is clearly another one, else
-    None.   mirrored : whether the mirror image of the source fits clearly better; the margin is over that then.
-    belief : the probability that the pose is right.
+    None.   over_image : by how much the pose explains the clouds better than the mirror image of the source does, where
+    that was looked at.   mirrored : whether that image fits so clearly better that it must be one.   belief : the
+    probability that the pose is right.
     """
 
     evidence: float
@@ -87,6 +88,7 @@ class Verdict:
     relative: float | None = None
     margin: float | None = None
     scale: float | None = None
+    over_image: float | None = None
     mirrored: bool = False
     belief: float | None = None
 

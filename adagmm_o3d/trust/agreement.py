@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.lie import se_inverse
+from adagmm_o3d.mixtures.merging import MergedMixture
+from adagmm_o3d.mixtures.sampling import quantile
 from adagmm_o3d.mixtures.spacing import spacing_of
 from adagmm_o3d.neighbors import NeighborIndex
 from adagmm_o3d.trust.normals import surface_normals
@@ -23,6 +25,8 @@ NEIGHBORS = {2: 6, 3: 16}
 # So many spacings of the points from the other cloud a point is near it, and so far from its surface it is on it; or so
 # many radii, where that is more: as far as sensors are known to bend what they see.
 NEAR, ON, BENT = 3.0, 0.5, 0.04
+# At most so many times that of points that are said to be noisier than most.
+VAGUEST = 2.5
 # Normals are the same up to this cosine; where the scatter across the surface is more than this share of that along it,
 # as with noise or in a tangle, there is no surface to face the same way.
 SAME_WAY, FLAT = 0.85, 0.1
@@ -40,10 +44,14 @@ class Agreement:
 
 
 class Surface:
-    """(n, 3) points of one cloud with their normals, looked at from the other's."""
+    """(n, 3) points of one cloud with their normals, looked at from the other's.
 
-    def __init__(self, points: Array, dimension: int) -> None:
+    vague : (n,) how many times as far off as others each may lie, by what is said of its noise; None of points alike.
+    """
+
+    def __init__(self, points: Array, dimension: int, vague: Array | None = None) -> None:
         self.points = np.ascontiguousarray(points)
+        self.vague = np.ones(len(points)) if vague is None else vague
         self.dimension = dimension
         self.normals, scatter = surface_normals(self.points, dimension, NEIGHBORS[dimension])
         self.flat = scatter < FLAT
@@ -52,7 +60,18 @@ class Surface:
 
     def halves(self) -> tuple[Surface, Surface]:
         """Every other point, and the rest."""
-        return Surface(self.points[::2], self.dimension), Surface(self.points[1::2], self.dimension)
+        first, second = (Surface(self.points[part::2], self.dimension, self.vague[part::2]) for part in (0, 1))
+        return first, second
+
+
+def surfaces_of(source: MergedMixture, target: MergedMixture) -> tuple[Surface, Surface]:
+    """Those of two mixtures of points; of what is said to be noisier than most, more is not expected."""
+    typical = float(quantile(np.concatenate([source.largest_variances, target.largest_variances]), 0.5))
+    first, second = (
+        Surface(side.points, side.dimension, np.sqrt(np.clip(side.largest_variances / typical, 1.0, VAGUEST**2)))
+        for side in (source, target)
+    )
+    return first, second
 
 
 def agreement(source: Surface, target: Surface, pose: Array) -> Agreement:
@@ -82,4 +101,5 @@ def near_and_on(own: Surface, other: Surface, pose: Array) -> tuple[Mask, Mask]:
     off = np.abs(np.einsum("ni,ni->n", moved - other.points[nearest], other.normals[nearest]))
     same_way = np.abs(np.einsum("ni,ni->n", normals, other.normals[nearest])) > SAME_WAY
     same_way |= ~(own.flat & other.flat[nearest])
-    return near, near & (off < max(ON * spacing, BENT)) & same_way
+    vague = np.sqrt(0.5 * (own.vague**2 + other.vague[nearest] ** 2))
+    return near, near & (off < vague * max(ON * spacing, BENT)) & same_way

@@ -28,11 +28,12 @@ REFLECTION = np.diag([-1.0, 1.0, 1.0])
 
 @dataclass(frozen=True)
 class MirrorImage:
-    """source : the mirror image of the source.   pose : (4, 4) where it lies on the target best.   margin : by how much
-    the clouds explain each other better there than at the pose that was found [nats per point, both clouds together];
-    about 0 of a body that is its own mirror image."""
+    """source, target : the mirror image of the source, and the target as it is.   pose : (4, 4) where that lies on this
+    best.   margin : by how much they explain each other better there than the clouds do at the pose that was found
+    [nats per point, both clouds together]; about 0 of a body that is its own mirror image."""
 
     source: MergedMixture
+    target: MergedMixture
     pose: Array
     margin: float
 
@@ -45,7 +46,7 @@ def fit_mirror_image(judge: Judge, pose: Array) -> MirrorImage:
     own = judge.explained(judge.sides, [pose, *_refined(source, target, [pose])])
     poses = _refined(image, target, _image_poses(judge.sides, pose))
     explained = judge.explained((image, target), poses)
-    return MirrorImage(image, poses[int(explained.argmax())], float(explained.max() - own.max()))
+    return MirrorImage(image, target, poses[int(explained.argmax())], float(explained.max() - own.max()))
 
 
 def reflected(side: MergedMixture) -> MergedMixture:

@@ -40,11 +40,12 @@ def record(section, group, signs, right):
 
 def test_the_command_fits_generated_pairs_and_checks_the_rest(tmp_path, capsys):
     rng = np.random.default_rng(1)
-    made = zip(*outcomes(rng, 400, np.array([3.0, 1.0, 1.0]), 0.0), strict=True)
+    made = zip(*outcomes(rng, 400, np.array([3.0, 1.0, 1.0, 1.0]), 0.0), strict=True)
     trials = [record("overlap", "models", *outcome) for outcome in made]
-    trials += [record("trust", "halves of a model", [-9.0, -9.0, -9.0], False)]
-    trials += [record("trust", "room, as given", [9.0, 9.0, 9.0], right) for right in (True, True, False)]
-    trials += [record("trust", "scale 1.05", [9.0, 9.0, 9.0], False)]
+    trials += [record("trust", "halves of a model", 4 * [-9.0], False)]
+    trials += [record("trust", "room, as given", 4 * [9.0], right) for right in (True, True, False)]
+    trials += [record("trust", "room, as given", 3 * [9.0], False)]  # of a version with other signs
+    trials += [record("trust", "scale 1.05", 4 * [9.0], False)]
     path = tmp_path / "report.json"
     path.write_text(json.dumps({"trials": trials}))
     assert main(["belief", str(path)]) == 0

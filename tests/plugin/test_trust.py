@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from shapes import body_with_head, bumpy, move
@@ -9,14 +11,16 @@ from shapes import body_with_head, bumpy, move
 from adagmm_o3d import estimate_surface_covariances, register_points
 from adagmm_o3d.evaluation import pose_errors
 from adagmm_o3d.lie import se_exp
+from adagmm_o3d.mixtures.merging import sample
 from adagmm_o3d.mixtures.mixture import make_mixture
 from adagmm_o3d.mixtures.normalisation import normalise
-from adagmm_o3d.trust.agreement import Surface, agreement
+from adagmm_o3d.result import Verdict
+from adagmm_o3d.trust.agreement import VAGUEST, Surface, agreement, surfaces_of
 from adagmm_o3d.trust.copies import are_copies
 from adagmm_o3d.trust.edges import share_beyond_edges
 from adagmm_o3d.trust.partners import partners_at
 from adagmm_o3d.trust.scale import estimate_scale
-from adagmm_o3d.trust.verdict import MARGINS, believe
+from adagmm_o3d.trust.verdict import MARGINS, MARGINS_OVER_IMAGE, believe, signs
 
 NOISE = 0.005
 
@@ -254,12 +258,35 @@ def test_what_lies_beyond_an_edge_is_told_from_what_differs():
 
 
 def test_belief_grows_with_each_sign():
-    least, most = np.array([-0.5, -1.5, MARGINS[0]]), np.array([0.0, -0.1, MARGINS[1]])
+    least = np.array([-0.5, -1.5, MARGINS[0], MARGINS_OVER_IMAGE[0]])
+    most = np.array([0.0, -0.1, MARGINS[1], MARGINS_OVER_IMAGE[1]])
     assert believe(least) < 0.05 and believe(most) > 0.95
-    for sign in range(3):
+    for sign in range(4):
         more = least.copy()
         more[sign] = most[sign]
         assert believe(more) > believe(least)
+
+
+def test_a_rival_that_can_only_be_wrong_counts_once_and_an_own_image_nothing():
+    verdict = Verdict(1.0, share=0.6, relative=0.9, margin=0.4)
+    assert believe(signs(replace(verdict, over_image=0.8))) > believe(signs(verdict))
+    # of a body that is its own image, by chance the one or the other fits better
+    assert believe(signs(replace(verdict, over_image=-0.2))) == believe(signs(verdict))
+    assert believe(signs(replace(verdict, over_image=-0.2, mirrored=True))) < 0.2 < believe(signs(verdict))
+
+
+def test_of_points_that_are_said_to_be_noisy_less_is_expected():
+    rng = np.random.default_rng(9)
+    covariances = np.where(rng.random(900) < 0.4, 9.0, 1.0)[:, None, None] * np.eye(3)
+    noise = 0.03 * np.sqrt(covariances[:, :1, 0]) * rng.normal(size=(900, 3))
+    clouds = [body_with_head(rng, 900, 3), body_with_head(rng, 900, 3) + noise]
+    said = [None, covariances]
+    mixtures = [make_mixture(name, *given) for name, *given in zip(("source", "target"), clouds, said, strict=True)]
+    judged = surfaces_of(*(sample(mixture, 1000) for mixture in normalise(*mixtures)[:2]))
+    plain = [Surface(surface.points, 3) for surface in judged]
+    assert judged[0].vague.max() == 1.0 and judged[1].vague.max() == VAGUEST
+    share, plain_share = (agreement(*pair, np.eye(4)).share for pair in (judged, plain))
+    assert share > plain_share + 0.03
 
 
 def mixtures_of(source, target):

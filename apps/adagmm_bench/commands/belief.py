@@ -29,7 +29,9 @@ def run(arguments: argparse.Namespace) -> int:
         FITTED: [record for record in records if is_generated(record)],
         HELD_OUT: [record for record in records if not is_generated(record)],
     }
-    signs, right = signs_and_truth(groups[FITTED]) if groups[FITTED] else (np.empty((0, 3)), np.empty(0, bool))
+    signs, right = (
+        signs_and_truth(groups[FITTED]) if groups[FITTED] else (np.empty((0, len(WEIGHTS))), np.empty(0, bool))
+    )
     if not 0 < right.sum() < len(right):
         raise InputError(
             f"reports: expected generated pairs with right and with wrong outcomes, got {right.sum()} right of "

@@ -10,6 +10,7 @@ import numpy as np
 from adagmm_bench.pairs.made import CASES
 from adagmm_bench.pairs.overlap import OVERLAP
 from adagmm_bench.pairs.tables import is_found
+from adagmm_o3d.trust.verdict import WEIGHTS
 
 # Weights are held towards nothing as if so many trials spoke for that, in units of the signs' spread; Newton's steps.
 RIDGE, STEPS = 0.3, 50
@@ -30,7 +31,9 @@ class Fitted:
 
 
 def has_signs(record: dict) -> bool:
-    return record["status"] == "ok" and record.get("signs") is not None and record["problem"]["group"] not in LEFT_OUT
+    """Whether a trial has the signs of this version, and the pose is what it is about."""
+    signs = record.get("signs") or ()
+    return record["status"] == "ok" and len(signs) == len(WEIGHTS) and record["problem"]["group"] not in LEFT_OUT
 
 
 def is_generated(record: dict) -> bool:

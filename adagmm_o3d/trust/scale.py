@@ -18,8 +18,9 @@ from adagmm_o3d.neighbors import NeighborIndex
 from adagmm_o3d.trust.agreement import SAME_WAY, Surface
 
 STEPS = 4
-# Pairs of points nearer than so many spacings; those off by so many times what most are off weigh a half.
-REACH, ROBUST = 2.0, 2.0
+# Pairs of points nearer than so many spacings, or so many radii where that is more, as on a curve, whose points are
+# closer: within it another size still finds its partners. Those off by so many times what most are off weigh a half.
+REACH, LEAST_REACH, ROBUST = 2.0, 0.08, 2.0
 # A standard deviation is so many times the median of absolute values, and no less than this share of the spacing.
 OF_MEDIAN, LEAST_OFF = 1.4826, 0.02
 # The edge of a block whose errors are one, in radii.
@@ -64,7 +65,7 @@ def estimate_scale(source: Surface, target: Surface, pose: Array, dimension: int
         cosines = np.concatenate(
             [(target.normals[to] * normals).sum(axis=1), (target.normals * normals[back]).sum(axis=1)]
         )
-        near = np.concatenate([squares[:, 0], squares_back[:, 0]]) < (REACH * spacing) ** 2
+        near = np.concatenate([squares[:, 0], squares_back[:, 0]]) < max(REACH * spacing, LEAST_REACH) ** 2
         near &= np.abs(cosines) > SAME_WAY
         if near.sum() < max(LEAST_PAIRS, LEAST_SHARE * len(near)):
             return None

@@ -160,6 +160,14 @@ def another_size(rng, trial):
     return noisy(rng, body_with_head(rng, 900, 3)), 1.05 * move(noisy(rng, body_with_head(rng, 900, 3)), T), None
 
 
+def outline_of_another_size(rng, trial):
+    """Of few points and of many: on a curve they are closer than what another size puts between the clouds."""
+    n = (120, 400)[trial % 2]
+    shape = (bumpy, body_with_head)[trial // 2 % 2]
+    T = twist(rng, 2, rng.uniform(0.0, 0.3))
+    return noisy(rng, shape(rng, n, 2)), 1.05 * move(noisy(rng, shape(rng, n, 2)), T), None
+
+
 def outcome(source, target, T):
     """Whether the pose is right, and whether the result warns of it."""
     covariances = [None, None]
@@ -188,6 +196,7 @@ def outcome(source, target, T):
         (own_mirror_image, 6, 0, 0),
         (parts_of_own_mirror_image, 4, 0, 0),
         (another_size, 4, 0, 0),
+        (outline_of_another_size, 8, 0, 0),
     ],
     ids=lambda value: getattr(value, "__name__", str(value)),
 )

@@ -51,21 +51,19 @@ class Groups:
         return spread
 
 
-def even_cells(points: Array) -> Groups | None:
-    """(n, D) points by the cell that they lie in; None where the cloud is not dense.
-
-    The edge of a cell is CELL times the root mean square distance from the centroid, or a half, a quarter of it.
-    """
+def even_edge(points: Array) -> float | None:
+    """The edge of even cells for (n, D) points: CELL times the root mean square distance from the centroid, or a half,
+    a quarter of it; None where the cloud is not dense."""
     if len(points) < DENSE_FROM:
         return None
     offsets = points - points.mean(axis=0)
     edge = CELL * math.sqrt((offsets**2).sum(axis=1).mean())
     while edge > 0.0:
-        cells = Groups(cell_numbers(offsets, np.full(len(points), edge)), np.ones(len(points)))
-        if len(cells) > MOST_LEFT * len(points):
+        cells = len(Groups(cell_numbers(offsets, np.full(len(points), edge)), np.ones(len(points))))
+        if cells > MOST_LEFT * len(points):
             break
-        if len(cells) >= FEWEST:
-            return cells
+        if cells >= FEWEST:
+            return edge
         edge *= 0.5
     return None
 

@@ -5,9 +5,7 @@ from numpy.typing import ArrayLike
 
 from adagmm_o3d.arguments import Array, float_array, real_number
 from adagmm_o3d.errors import InputError
-from adagmm_o3d.grouping import Groups
-from adagmm_o3d.neighbors import NeighborIndex
-from adagmm_o3d.uncertainty.surface import CHUNK
+from adagmm_o3d.uncertainty.planes import find_planes
 
 RANGE_NOISE = 0.02
 """Standard deviation of the range [m]; Ouster's OS1 repeats it to 1.5 to 3 cm where the return is strong."""
@@ -24,15 +22,8 @@ MAX_RANGE = 1000.0
 CELLS = (0.1, 0.2, 0.4, 0.8)
 """Edges of the cells [m] in which a neighbourhood is looked for, the smallest that will do."""
 
-REACH, MOST, LEAST = 3.0, 20, 6
-"""A neighbourhood are the MOST nearest cells within REACH edges of one; LEAST of them make a plane."""
-
-FULL = 4.0
-"""A cell of fewer points counts less: at the edge of a surface's noise. One of more does not count more."""
-
-LINE, ROUGH = 0.1, 0.2
-"""A neighbourhood is a line, one ring, when its second variance is below that share of its largest. It is a plane when
-its least is below that share of its second; what is no plane at any size is taken as the smallest that is no line."""
+MOST = 20
+"""A neighbourhood are so many cells at most."""
 
 NO_RETURN = 1e6
 """How much vaguer a point at the sensor itself is; as `mark_outliers` has it."""
@@ -97,7 +88,8 @@ def estimate_lidar_covariances(
     returned = ranges > 0.0
     normals, roughness = np.zeros(p.shape), np.zeros(len(p))
     if returned.any():
-        normals[returned], roughness[returned] = _planes(np.ascontiguousarray(p[returned]))
+        normals[returned], variances = find_planes(p[returned], p[returned], CELLS, MOST)
+        roughness[returned] = variances[:, 0]
     beams[returned] /= ranges[returned, None]
     beam = beams[:, :, None] * beams[:, None, :]
     normal = normals[:, :, None] * normals[:, None, :]
@@ -106,41 +98,3 @@ def estimate_lidar_covariances(
     covariances += along**2 * beam + sideways * (np.eye(3) - beam)
     covariances[~returned] = NO_RETURN * wide * np.eye(3)
     return covariances
-
-
-def _planes(points: Array) -> tuple[Array, Array]:
-    """Unit normals (N, 3), zero where there is none, and the variances across the surface (N,) [m²]."""
-    normals, roughness = np.zeros(points.shape), np.zeros(len(points))
-    left = np.arange(len(points))
-    for edge in CELLS:
-        if len(left) == 0:
-            break
-        thinned, weights = _thinned(points, edge)
-        index = NeighborIndex(thinned)
-        found = np.zeros(len(left), bool)
-        for start in range(0, len(left), CHUNK):
-            chosen = left[start : start + CHUNK]
-            rows, squares = index.query(points[chosen], MOST)
-            near = squares <= (REACH * edge) ** 2
-            shares = near * weights[rows]
-            shares /= np.maximum(shares.sum(axis=1), 1.0)[:, None]
-            offsets = thinned[rows] - (shares[:, :, None] * thinned[rows]).sum(axis=1, keepdims=True)
-            scatter = (shares[:, :, None] * offsets).transpose(0, 2, 1) @ offsets
-            variances, directions = np.linalg.eigh(scatter)
-            wide = (near.sum(axis=1) >= LEAST) & (variances[:, 1] > LINE * variances[:, 2])
-            flat = wide & (variances[:, 0] < ROUGH * variances[:, 1])
-            first = wide & ~normals[chosen].any(axis=1)
-            normals[chosen[flat | first]] = directions[flat | first, :, 0]
-            roughness[chosen[flat | first]] = np.maximum(variances[flat | first, 0], 0.0)
-            found[start : start + CHUNK] = flat
-        left = left[~found]
-    return normals, roughness
-
-
-def _thinned(points: Array, edge: float) -> tuple[Array, Array]:
-    """(K, 3) the mean of the points in each cell, and (K,) what each counts."""
-    places = np.floor((points - points.min(axis=0)) / edge).astype(np.int64)
-    spread = int(places.max()) + 1
-    cells = (places[:, 0] * spread + places[:, 1]) * spread + places[:, 2]
-    groups = Groups(cells, np.ones(len(points)))
-    return groups.means(points), np.minimum(groups.total, FULL)

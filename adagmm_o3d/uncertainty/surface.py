@@ -5,12 +5,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from adagmm_o3d.arguments import Array, float_array, real_number, unit_vectors, whole_number
 from adagmm_o3d.errors import DegenerateError, InputError
-from adagmm_o3d.grouping import even_cells
+from adagmm_o3d.grouping import even_edge
 from adagmm_o3d.kernels.limits import EPSILON, KNN, LINE_RATIO
 from adagmm_o3d.neighbors import NeighborIndex
+from adagmm_o3d.uncertainty.planes import CHUNK, cells_of, find_planes
 
-CHUNK = 65536
-"""Points whose neighbourhoods are gathered at a time; bounds the memory."""
+CELLS = (0.5, 1.0, 2.0)
+"""Edges of the cells of a dense cloud, in those of even ones, the smallest that will do."""
+
+VAGUE = 10.0
+"""How much more what is no surface varies: of a pole or a bush each sensor sees the side that faces it."""
 
 TINY = float(np.finfo(np.float64).tiny)
 """Divides what is zero itself."""
@@ -25,10 +29,10 @@ def estimate_surface_covariances(
     nearest points, the point itself among them, vary least. Where these lie on one line or coincide there is no such
     direction, and Σ = I.
 
-    A dense cloud, of 10 000 points and more, is first thinned to one point in a cell (`grouping.even_cells`), and each
-    point gets the covariance of its cell. The nearest points of a spinning LiDAR's are on its own ring and make a line,
-    whatever the surface; those in other cells do not. There the variance across is that of the neighbours relative to
-    their smaller one along the surface, where that is more than `epsilon`: no surface is thinner than it is rough.
+    A dense cloud, of 10 000 points and more (`grouping.even_edge`), is first thinned to one point in a cell, and each
+    point gets the covariance of its cell. The cells grow until the neighbours span a plane, see `planes.find_planes`;
+    where they never do, Σ = 10 I. There the variance across is that of the neighbours relative to their smaller one
+    along the surface, where that is more than `epsilon`: no surface is thinner than it is rough.
 
     Parameters
     ----------
@@ -59,11 +63,10 @@ def estimate_surface_covariances(
         raise InputError(f"epsilon: expected at most 1, got {thickness:g}; it is the variance across the surface")
     if normals is None:
         check_count(*p.shape)
-        cells = even_cells(p)
-        if cells is None:
-            return _plane_covariances(_estimate_planes(p, neighbors, np.arange(len(p)))[0], thickness)
-        n, roughness = _estimate_planes(cells.means(p), neighbors, np.arange(len(cells)))
-        return cells.each(_plane_covariances(n, np.maximum(roughness, thickness)))
+        edge = even_edge(p)
+        if edge is None:
+            return _plane_covariances(_estimate_normals(p, neighbors, np.arange(len(p))), thickness)
+        return _cell_covariances(p, edge, neighbors, thickness)
     n = unit_vectors("normals", normals, ("N", dimension))
     if len(n) != len(p):
         raise InputError(f"normals: expected {p.shape} to match the points, got {n.shape}")
@@ -99,7 +102,7 @@ def stand_in_covariances(points: Array, normals: Array | None = None, *, epsilon
     n = np.zeros(points.shape)
     n[usable] = normals[usable] / lengths[usable, None]
     if not usable.all() and len(points) > points.shape[1]:
-        n[~usable] = _estimate_planes(points, KNN, np.flatnonzero(~usable))[0]
+        n[~usable] = _estimate_normals(points, KNN, np.flatnonzero(~usable))
     return _plane_covariances(n, epsilon)
 
 
@@ -118,11 +121,20 @@ def _plane_covariances(normals: Array, thickness: float | Array) -> Array:
     return np.eye(normals.shape[1]) - scaled[:, :, None] * scaled[:, None, :]
 
 
-def _estimate_planes(points: Array, knn: int, chosen: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Unit normals of the chosen points (K, D), zero where the neighbourhood has none, and its variance along them
-    relative to the smallest along the surface (K,)."""
+def _cell_covariances(points: Array, edge: float, knn: int, thickness: float) -> Array:
+    """(N, D, D) of a dense cloud (N, D) with even cells of that edge."""
+    cells = cells_of(points, CELLS[0] * edge)
+    normals, variances = find_planes(points, cells.means(points), [factor * edge for factor in CELLS], knn)
+    roughness = variances[:, 0] / np.maximum(variances[:, 1], TINY)
+    covariances = _plane_covariances(normals, np.maximum(roughness, thickness))
+    covariances[~normals.any(axis=1)] *= VAGUE
+    return cells.each(covariances)
+
+
+def _estimate_normals(points: Array, knn: int, chosen: NDArray[np.intp]) -> Array:
+    """Unit normals of the chosen points (K, D), zero where the neighbourhood has none."""
     index = NeighborIndex(np.ascontiguousarray(points))
-    normals, roughness = np.empty((len(chosen), points.shape[1])), np.empty(len(chosen))
+    normals = np.empty((len(chosen), points.shape[1]))
     for start in range(0, len(chosen), CHUNK):
         chunk = slice(start, start + CHUNK)
         rows, _ = index.query(points[chosen[chunk]], knn)
@@ -132,7 +144,4 @@ def _estimate_planes(points: Array, knn: int, chosen: NDArray[np.intp]) -> tuple
         variances, directions = np.linalg.eigh(scatter)
         has_normal = variances[:, 1] > LINE_RATIO * variances.sum(axis=1)
         normals[chunk] = np.where(has_normal[:, None], directions[:, :, 0], 0.0)
-        roughness[chunk] = np.where(
-            has_normal, np.maximum(variances[:, 0], 0.0) / np.maximum(variances[:, 1], TINY), 1.0
-        )
-    return normals, roughness
+    return normals

@@ -139,6 +139,19 @@ def test_clouds_without_covariances_need_no_sensor_model(distance, angle_deg):
         assert not result.details.warnings
 
 
+def test_the_steps_of_a_drive_do_not_add_up_to_a_drift():
+    poses, street = drive(25), Street(0)
+    errors = []
+    for k in range(4, 25, 4):
+        source, target = (street.scan(poses[i], seed=i).points for i in (k, k - 1))
+        T = se_inverse(poses[k - 1]) @ poses[k]
+        covariances = estimate_surface_covariances(source), estimate_surface_covariances(target)
+        found = register_points(source, target, *covariances).transformation
+        errors.append((se_inverse(T) @ found)[:3, 3])
+    # along the street what faces the sensor changes as it passes
+    np.testing.assert_allclose(np.mean(errors, axis=0), 0.0, rtol=0, atol=4e-3)
+
+
 def test_scans_are_of_one_street_and_poses_exact():
     street, lidar = Street(2), Lidar(range_noise=0.0)
     here, there = drive(8, step=1.5)[[2, 4]]

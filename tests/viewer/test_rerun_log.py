@@ -27,6 +27,7 @@ from adagmm_fusion.rerun_log import (
     log_recording_properties,
     log_recording_summary,
     log_refused_pair,
+    log_result,
     open_stream,
 )
 from adagmm_fusion.rerun_log.blueprint import STAGES
@@ -403,6 +404,14 @@ def test_properties(tmp_path):
     path = save(tmp_path / "properties.rrd", log)
     assert rows(path, "__properties/input", "sensors").values == [["left", "right"]]
     assert rows(path, "__properties/parameters", "voxel_size_m").values == [["0.03"]]
+
+
+def test_the_result_is_a_property(tmp_path):
+    records = [summary_record("a", "ok", 0.2, 10.0), summary_record("b", "failed", 9.0, 300.0)]
+    records.append(PairRecord("c", 2, "failed", "error", "no depth"))
+    path = save(tmp_path / "result.rrd", lambda rec: log_result(rec, records))
+    for name, expected in (("failed_pairs", 2), ("pairs", 3), ("median_deg", 4.6), ("median_mm", 155.0)):
+        np.testing.assert_allclose(rows(path, "__properties/found", name).values, [[expected]], rtol=1e-12, atol=0.0)
 
 
 def test_words_that_the_viewer_has_no_glyphs_for_are_escaped():

@@ -159,7 +159,7 @@ def _show(args: argparse.Namespace, recording: Recording, mesh: Any, fused: Any)
     """Log the mesh, the frames and the registrations between them to Rerun, as the arguments say."""
     from adagmm_fusion.rerun_log import fused_blueprint, log_fused_recording, open_stream
 
-    with open_stream(args, recording.name, fused_blueprint(mesh.vertices, fused.poses)) as stream:
+    with open_stream(args, recording.name, fused_blueprint(mesh.vertices, fused.poses), kind="fuse") as stream:
         log_fused_recording(stream, mesh, fused, lambda index: recording.entries[index].load())
 
 

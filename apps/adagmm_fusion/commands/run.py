@@ -37,6 +37,7 @@ from adagmm_fusion.rerun_log import (
     log_recording_properties,
     log_recording_summary,
     log_refused_pair,
+    log_result,
     open_stream,
 )
 from adagmm_fusion.rigs.rig import save_rig
@@ -234,6 +235,8 @@ class _Viewer:
 
     def summarize(self, records: list[PairRecord], *, finished: bool = False) -> None:
         """Log the first page again, with the time left while the run goes on."""
+        if finished:
+            log_result(self._stream, records)
         if not self._many:
             return
         self._summarized = len(records)
@@ -244,7 +247,8 @@ class _Viewer:
 
 @contextlib.contextmanager
 def _viewer(args: argparse.Namespace, recording: Recording, settings: Settings, pair_count: int) -> Iterator[_Viewer]:
-    with open_stream(args, recording.name, dashboard(many_pairs=pair_count > 1)) as stream:
+    many = pair_count > 1
+    with open_stream(args, recording.name, dashboard(many_pairs=many), kind="" if many else "pair") as stream:
         log_recording_properties(
             stream,
             recording=printable(args.recording),

@@ -81,10 +81,12 @@ def run_many(recordings: list[Path], args: argparse.Namespace, settings: Setting
         print(printable(f"report: {paths[0]}, {paths[1]}"))
     if not (args.no_rerun or args.connect or args.serve or args.url or args.stdout):
         path = output / f"{output.name}.rrd"
-        logged = [output / name / f"{name}.rrd" for name in tasks]
-        save_joint_recording(
-            path, output.name, joint_markdown(output.name, summaries), [log for log in logged if log.is_file()]
-        )
+        logged = [
+            output / summary.folder / summary.report["results"]["Rerun recording"]
+            for summary in summaries
+            if summary.report is not None
+        ]
+        save_joint_recording(path, output.name, joint_markdown(output.name, summaries), logged)
         if not args.quiet:
             print(printable(f"Rerun recording of all: {path}"))
     done = [result for result in results.values() if isinstance(result, RecordingResult)]

@@ -99,7 +99,7 @@ def _show(args: argparse.Namespace, checks: list, rig: Any) -> None:
     """Log what moved to Rerun, as the arguments say."""
     from adagmm_fusion.rerun_log import log_verified_rig, open_stream, verified_rig_blueprint
 
-    with open_stream(args, rig.name, verified_rig_blueprint(checks, rig)) as stream:
+    with open_stream(args, rig.name, verified_rig_blueprint(checks, rig), kind="verify") as stream:
         log_verified_rig(stream, checks, rig)
 
 

@@ -19,7 +19,7 @@ from adagmm_fusion.rerun_log.blueprint import dashboard, script_dashboard
 from adagmm_fusion.rerun_log.fused_recording import FusedRecording, fused_blueprint, log_fused_recording
 from adagmm_fusion.rerun_log.iterations import log_estimate_iterations
 from adagmm_fusion.rerun_log.pair import log_pair, log_refused_pair
-from adagmm_fusion.rerun_log.properties import log_recording_properties
+from adagmm_fusion.rerun_log.properties import log_recording_properties, log_result
 from adagmm_fusion.rerun_log.registration_logger import RegistrationLogger
 from adagmm_fusion.rerun_log.streams import check_destination, open_stream
 from adagmm_fusion.rerun_log.summary import Progress, log_recording_summary
@@ -45,6 +45,7 @@ __all__ = [
     "log_recording_properties",
     "log_recording_summary",
     "log_refused_pair",
+    "log_result",
     "log_verified_rig",
     "open_stream",
     "script_dashboard",

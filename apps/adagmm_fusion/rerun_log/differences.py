@@ -7,6 +7,7 @@ import rerun as rr
 
 from adagmm_fusion.rerun_log import entities
 from adagmm_fusion.rerun_log.colors import BAD_COLOR, DIFFERENCE_COLOR, LABEL_COLOR, UNOBSERVABLE_COLOR
+from adagmm_fusion.rerun_log.eyes import DIRECTION
 from adagmm_fusion.rerun_log.iterations import pose_errors
 from adagmm_fusion.rerun_log.when import When
 
@@ -51,6 +52,7 @@ def log_unobservable(
         turn, slide = np.asarray(tangent[:3]), np.asarray(tangent[3:])
         turns = np.linalg.norm(turn) > np.linalg.norm(slide)
         direction = turn if turns else slide
+        direction = direction if direction @ DIRECTION > 0.0 else -direction  # towards the eye, not into the surface
         vectors.append(radius * direction / np.linalg.norm(direction))
         # A turn about an axis elsewhere is a turn about the centroid and a slide.
         off_axis = radius * np.cross(turn, slide) / (turn @ turn) if turns else 0.0

@@ -16,6 +16,11 @@ from adagmm_fusion.rerun_log.headless_viewer import RERUN
 from adagmm_fusion.rerun_log.streams import open_stream
 from adagmm_fusion.rerun_log.words import markdown
 
+HINT = (
+    "The panel on the left (a button at the top right opens it) has these recordings: a click on *adagmm_fusion* there "
+    "lists them with what was found, to be sorted and picked from."
+)
+
 
 def save_joint_recording(path: Path, title: str, overview: str, recordings: Sequence[Path]) -> None:
     """Write `recordings` (.rrd files) and a page of markdown into one file. Raises OutputError if it cannot be done."""
@@ -24,10 +29,12 @@ def save_joint_recording(path: Path, title: str, overview: str, recordings: Sequ
     add_rerun_arguments(parser)
     with tempfile.TemporaryDirectory() as folder:
         first = Path(folder) / "overview.rrd"
-        view = rrb.TextDocumentView(name="All recordings: pick one on the left", origin=entities.SUMMARY_TABLE)
+        view = rrb.TextDocumentView(name="All recordings", origin=entities.SUMMARY_TABLE)
         blueprint = rrb.Blueprint(view, rrb.TimePanel(state="hidden"), auto_layout=False, auto_views=False)
-        with open_stream(parser.parse_args(["--save", str(first)]), f"{title}: all recordings", blueprint) as rec:
-            rec.log(entities.SUMMARY_TABLE, markdown(overview), static=True)
+        with open_stream(
+            parser.parse_args(["--save", str(first)]), f"{title}: all recordings", blueprint, kind="all"
+        ) as rec:
+            rec.log(entities.SUMMARY_TABLE, markdown(f"{overview}\n\n{HINT}"), static=True)
         with replacing(path) as temporary:
             command = [str(RERUN), "rrd", "merge", str(first), *map(str, recordings), "-o", str(temporary)]
             done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -3,9 +3,11 @@
 from collections.abc import Mapping, Sequence
 from importlib import metadata
 
+import numpy as np
 import open3d as o3d
 import rerun as rr
 
+from adagmm_fusion.pairs.record import PairRecord
 from adagmm_fusion.rerun_log.words import shown
 
 PACKAGES = ("adagmm-o3d", "open3d", "numpy", "numba", "rerun-sdk")
@@ -34,3 +36,14 @@ def log_recording_properties(
         for package in PACKAGES
     }
     rec.send_property("versions", rr.AnyValues(**versions))
+
+
+def log_result(rec: rr.RecordingStream, records: Sequence[PairRecord]) -> None:
+    """Log what became of all pairs, which the viewer's table of recordings shows and sorts by."""
+    failed = sum(record.status != "ok" for record in records)
+    values: dict[str, float] = {"failed_pairs": failed, "pairs": len(records)}
+    known = [record for record in records if record.rotation_error_deg is not None]
+    if known:
+        values["median_deg"] = float(np.median([record.rotation_error_deg for record in known]))
+        values["median_mm"] = float(np.median([record.translation_error_mm for record in known]))
+    rec.send_property("found", rr.AnyValues(**values))

@@ -51,18 +51,22 @@ def check_destination(args: argparse.Namespace) -> None:
 
 
 @contextlib.contextmanager
-def open_stream(args: argparse.Namespace, name: str, blueprint: Any = None) -> Iterator[rr.RecordingStream]:
+def open_stream(
+    args: argparse.Namespace, name: str, blueprint: Any = None, *, kind: str = ""
+) -> Iterator[rr.RecordingStream]:
     """A recording stream that goes where `args` say, closed at the end so that a file has its footer.
 
     A file is written beside its final name and moved there when it is complete. With `--serve` this blocks at the end,
     until Ctrl-C, as Rerun's own scripts do. Without a destination what is logged is dropped.
+
+    kind : what the recording is of, where that has another blueprint; the viewer has one for all recordings of a kind.
 
     Raises
     ------
     OutputError  if the file cannot be written, the server not started, or the viewer not reached.
     """
     with heard_afterwards():  # one that is half made prints a traceback when it is thrown away
-        rec = rr.RecordingStream(APPLICATION_ID)
+        rec = rr.RecordingStream("_".join(filter(None, (APPLICATION_ID, kind))))
     rec.send_recording_name(shown(name))
     with contextlib.ExitStack() as stack:
         if args.stdout:

@@ -33,7 +33,12 @@ def verified_rig_blueprint(checks: Sequence[SensorCheck], rig: Rig) -> rrb.Bluep
     view = scene("Sensors: by the rig file green, found orange or red where it moved", {f"{RIG}/**": None}, eye)
     report = rrb.TextDocumentView(name="Report", origin=entities.REPORT)
     return rrb.Blueprint(
-        rrb.Horizontal(view, report, column_shares=[2, 1]), collapse_panels=True, auto_layout=False, auto_views=False
+        rrb.Horizontal(view, report, column_shares=[2, 1]),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="hidden"),  # nothing changes with time
+        auto_layout=False,
+        auto_views=False,
     )
 
 

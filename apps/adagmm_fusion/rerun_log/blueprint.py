@@ -86,12 +86,12 @@ def _overview() -> rrb.Horizontal:
     return rrb.Horizontal(scenes, _side(), column_shares=[5, 2], name="Pair")
 
 
-def error_curve(name: str, metric: str, *, with_iterations: bool = True, legend: bool = False) -> rrb.TimeSeriesView:
+def error_curve(name: str, metric: str, *, with_iterations: bool = True) -> rrb.TimeSeriesView:
     """The errors of the stages on a logarithmic axis, and those of the EM iterations between."""
     contents = [f"{entities.stages_of(metric)}/**"]
     if with_iterations:
         contents.append(entities.log10_of(metric))
-    return curve(name, *contents, legend=legend)
+    return curve(name, *contents)
 
 
 def _why_page() -> rrb.Vertical:
@@ -137,7 +137,7 @@ def _side() -> rrb.Vertical:
 
 def _summary_page() -> rrb.Horizontal:
     charts = rrb.Vertical(
-        error_curve("Rotation error °, log₁₀", entities.ROTATION_ERROR_DEG, with_iterations=False, legend=True),
+        error_curve("Rotation error °, log₁₀", entities.ROTATION_ERROR_DEG, with_iterations=False),
         error_curve("Translation error mm, log₁₀", entities.TRANSLATION_ERROR_MM, with_iterations=False),
     )
     table = rrb.TextDocumentView(name="All pairs", origin=entities.SUMMARY_TABLE)

@@ -11,7 +11,7 @@ from adagmm_fusion.rerun_log.when import When
 
 FIELD_OF_VIEW = np.radians(50.0)
 # Width by height of the views that an eye has to suit: of most, and of narrow ones side by side.
-ASPECT, NARROW = 1.15, 0.85
+ASPECT, NARROW = 1.15, 1.0
 # Above, to the right and behind the target's camera, which looks along z.
 DIRECTION = np.array((0.4, -0.6, -1.0)) / np.linalg.norm((0.4, -0.6, -1.0))
 # Of each cloud so much is in the picture, on each side of the middle: a few points far away would make the rest small.

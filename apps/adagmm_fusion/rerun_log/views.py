@@ -76,13 +76,13 @@ def image(name: str, origin: str, contents: list[str]) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(name=name, origin=origin, contents=[f"/{entity}" for entity in contents])
 
 
-def curve(name: str, *contents: str, legend: bool = False) -> rrb.TimeSeriesView:
-    """Series over time, with a cursor; all such views share one time axis."""
+def curve(name: str, *contents: str) -> rrb.TimeSeriesView:
+    """Series over time, with a cursor; all such views share one time axis. No legend hides any of them."""
     return rrb.TimeSeriesView(
         name=name,
         contents=[f"/{entity}" for entity in contents],
         axis_x=rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal),
-        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop, visible=legend),
+        plot_legend=rrb.PlotLegend(visible=False),
     )
 
 

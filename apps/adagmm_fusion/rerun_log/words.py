@@ -21,7 +21,7 @@ SHOWN_RANGES = (
     (0x20A0, 0x20BF),
     (0x2190, 0x2199),
 )
-SHOWN_SIGNS = frozenset("\n\t✔✓✗▲△⚠−∞√∑∂≈≠≤≥●")
+SHOWN_SIGNS = frozenset("\n\t✔✓✗▲△⚠−∞√∑∂≈≠≤≥●◆■")
 
 
 def shown(text: object) -> str:

@@ -6,8 +6,8 @@ M-step needs, `densities` is how dense each mixture is at the points of the othe
 
 With colours a pair also weighs how probable these make it that its points are the same place: a Gaussian of their
 difference that falls no further than a floor, as some colours lie (a highlight, a shadow). That is a term of the
-exponent, so it takes no further exponential, as a Gaussian mixed with a constant does, and no division, as Student's t;
-the mixture led to the same poses. Without colours `hue` is None, and Numba compiles the loops without them.
+exponent, so a pair takes no further exponential. Without colours `hue` is None, and Numba compiles the loops without
+them.
 """
 
 import numpy as np

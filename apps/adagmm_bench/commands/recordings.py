@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from adagmm_bench.commands.options import (
     usable_frame_pairs,
 )
 from adagmm_bench.methods import METHODS
+from adagmm_bench.mounting import errors_up_to_mounting
 from adagmm_bench.pair_report import pair_table, write_pair_report
 from adagmm_bench.report import markdown_table, print_table
 from adagmm_bench.runner import run_jobs
@@ -72,12 +73,32 @@ def run(arguments: argparse.Namespace) -> int:
         columns, rows = pair_table(summaries, own)
         body += f"## {name}\n\n{markdown_table(columns, rows)}\n"
         print_table(f"{name}, {summaries[0].trials} pairs", columns, rows)
+        if mounted := mounting_line([record for record in own if record["method"] == END_TO_END and found(record)]):
+            body += f"{mounted}\n\n"
+            print(printable(mounted))
     if unusable:
         body += "Recordings left out:\n\n" + "".join(f"- {line}\n" for line in unusable)
     title = "RGB-D recordings with ground truth"
     write_pair_report(arguments.output, title, body, records, summarise(records, found), skipped)
     print(printable(f"report and every trial: {arguments.output}"))
     return 0
+
+
+def mounting_line(records: Sequence[Mapping]) -> str:
+    """What is left of the app's errors when the truth may be turned on its mount; empty where that cannot be said."""
+    truths, estimates = (
+        np.array([record[key] for record in records], dtype=float).reshape(-1, 4, 4)[:, :3, :3]
+        for key in ("T_target_source_truth", "T_target_source")
+    )
+    left = errors_up_to_mounting(truths, estimates)
+    if left is None:
+        return ""
+    before = np.median([record["rotation_error_deg"] for record in records])
+    after = np.median(left.rotation_error_deg)
+    return (
+        f"{END_TO_END}, {len(records)} found: median rotation error {before:.2f}°; {after:.2f}° up to one turn of the "
+        f"camera on what the truth is of ({left.turn_deg:.1f}°), each pair by that of the others."
+    )
 
 
 def version_of(method_name: str) -> str:
@@ -106,5 +127,6 @@ def run_frame_trial(job: TrialJob) -> dict:
         reason=outcome.reason,
         seconds=seconds,
         cpu_seconds=cpu_seconds,
+        T_target_source_truth=np.asarray(pair.T_target_source).tolist(),
         **judge(job.problem.load(), T, job.problem.partner_distance),
     )

@@ -19,8 +19,9 @@ HEADINGS = (*FIGURES, "start by", "overlap", "contra", "colour", "⚠", "s")
 LEGEND = (
     f"*end*, *start*, *identity*: errors against the ground truth, {WORSE} where the end is worse than the start. "
     "*start by*: how many features agreed, or the clouds alone. *overlap*, *contra*: share of the source with a "
-    "partner, and in front of what the target sees [%]. *colour*: correlation of brightness. *⚠*: warnings. In the plots the identity is a grey ×, the start a blue ◆, the end a green ●, or a red ■ "
-    "where it failed or is worse than the start; the line is the limit."
+    "partner, and in front of what the target sees [%]. *colour*: correlation of brightness. *⚠*: warnings. In the "
+    "plots the identity is a grey ×, the start a blue ◆, the end a green ●, or a red ■ where it failed or is worse "
+    "than the start; the line is the limit."
 )
 HINT = "The timeline `frame` below changes the pair; `em_step` runs through the EM iterations of all pairs."
 

@@ -12,6 +12,7 @@ from adagmm_o3d.em.expectation import MOST_UNMATCHED
 from adagmm_o3d.em.m_step import ANY_AXIS
 from adagmm_o3d.em.unmatched import COMPARED_SIGMA, world_density
 from adagmm_o3d.kernels.cpu import em as kernel
+from adagmm_o3d.kernels.cpu.convolved_rows import Hues
 from adagmm_o3d.kernels.cpu.ranges import run_in_ranges
 from adagmm_o3d.kernels.formulas import LOG2_SCALE
 from adagmm_o3d.kernels.update import NO_OVERLAP, SETTLED, fresh_memory
@@ -122,9 +123,12 @@ def run_starts(
     ends = np.empty((len(starts), kernel.END_COLUMNS))
     history = np.empty((len(starts), max(s.iterations for s in starts), kernel.HISTORY_COLUMNS))
     half, isotropic = 0.5 * source.dimension, source.isotropic and target.isotropic
-    hues = None if colour is None else (source.hues(colour, of_source=True), colour.cap)
+    hues = None if colour is None else Hues(source.hues(colour, of_source=True), colour.cap)
     sides = source.as_source(isotropic), hues, target.as_target(isotropic, colour)
     world = LOG2_SCALE**half * world_density(source.dimension)
+    if colour is not None:
+        # The kernels leave out by how much any two points' colours agree.
+        world *= colour.expected
     memories = fresh_memory(len(starts)) if memories is None else memories
     run_limits = kernel.RunLimits(
         source.dimension,
@@ -137,24 +141,13 @@ def run_starts(
         limits.bits,
         compared_at,
         limits.axis,
+        isotropic,
+        world,
     )
-    if colour is not None:
-        # The kernels leave out by how much any two points' colours agree.
-        world *= colour.expected
+    runs = poses, columns, memories, ends, history
 
     def run(first: int, last: int) -> None:
-        part = slice(first, last)
-        kernel.run_em(
-            poses[part],
-            columns[part],
-            *sides,
-            isotropic,
-            world,
-            run_limits,
-            memories[part],
-            ends[part],
-            history[part],
-        )
+        kernel.run_em(kernel.Runs(*(rows[first:last] for rows in runs)), *sides, run_limits)
 
     pairs = len(source.points) * len(target.points) * sum(s.iterations for s in starts)
     run_in_ranges(kernel.run_em, run, len(starts), pairs // PAIRS_PER_THREAD)

@@ -1,8 +1,9 @@
 """The formulas of the pair loop, written once and compiled for every device.
 
 `build` compiles them with the decorator of one device: `numba.njit` on the CPU, `cuda.jit(device=True)` on a GPU.
-They hold no float literal, so the arithmetic has the type of the arguments. Symmetric 3x3 matrices are packed as
-(xx, xy, xz, yy, yz, zz). 2D is the plane z = 0: the entries with a z are zero and so are all sums over them.
+Each argument is one number, which both compilers keep in a register: that is why some take many. They hold no float
+literal, so the arithmetic has the type of the arguments. Symmetric 3x3 matrices are packed as (xx, xy, xz, yy, yz, zz).
+2D is the plane z = 0: the entries with a z are zero and so are all sums over them.
 """
 
 import math
@@ -126,7 +127,7 @@ def build(jit, inverse_root, power_of_two):
 
     @jit
     def normal_equations(y0, y1, y2, p0, p1, p2, p3, p4, p5, u0, u1, u2, t0, t1, t2):
-        """What a point y with precision P, pull u and turn t adds to the 6x6 system of a left perturbation (ω, v).
+        """What a point y with precision P, pull u and torque t adds to the 6x6 system of a left perturbation (ω, v).
 
         The upper triangle of [y]ₓ P [y]ₓᵀ, [y]ₓ P and P, row by row, then the gradient: layout.HESSIAN to TOTAL_WEIGHT.
         """

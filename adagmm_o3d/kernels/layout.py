@@ -18,7 +18,7 @@ WEIGHT = 0  # Σ C
 ENERGY = 1  # Σ C dᵀ(A + B)d
 PRECISION = 2  # 2..7: Σ C A (Σ C P), packed
 PULL = 8  # 8..10: Σ C (A + B) d
-TURN = 11  # 11..13: Σ C d x (B d), the part of the gradient that is there because B turns with R
+TORQUE = 11  # 11..13: Σ C d x (B d), the part of the gradient that is there because B turns with R
 DENSITY = 14  # the target mixture's density at the source point (convolved weights only)
 ROW_SUMS = 15
 

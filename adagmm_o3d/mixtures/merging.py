@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from adagmm_o3d.grouping import Groups
 from adagmm_o3d.kernels.cpu.convolved_pass import pack
 from adagmm_o3d.kernels.cpu.em import ScaledSource, ScaledTarget
 from adagmm_o3d.kernels.cpu.farthest_points import farthest_points
-from adagmm_o3d.kernels.cpu.tiles import make_boxes, maxima, morton_order
+from adagmm_o3d.kernels.cpu.tiles import find_corners, maxima, morton_order
 from adagmm_o3d.kernels.formulas import LOG2_SCALE
 from adagmm_o3d.kernels.layout import FACTOR, MATRIX
 from adagmm_o3d.mixtures.colours import ColourModel
@@ -29,6 +29,17 @@ FLAGGED = 1e4
 # Pairs are left out where their weight is below 2**-COARSE_BITS of what it would be without a distance between them: a
 # coarse mixture says nothing so exactly.
 COARSE_BITS = 12.0
+
+
+class Ordered(NamedTuple):
+    """The components in space: their order, and in it points (3, n), packed covariances and spreads (6, n), largest
+    variances and bounds on those of the spreads (2, n); matrices and variances in powers of two."""
+
+    order: NDArray[np.intp]
+    points: NDArray[np.float32]
+    covariances: NDArray[np.float32]
+    spreads: NDArray[np.float32]
+    reach: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -79,7 +90,7 @@ class MergedMixture:
     def hues(self, colour: ColourModel, *, of_source: bool) -> NDArray[np.float32]:
         """(3, n) colours in the order of the components in space, see `colours.ColourModel.hues`."""
         assert self.colours is not None
-        return colour.hues(self.colours[self._ordered[0]], of_source=of_source)
+        return colour.hues(self.colours[self._ordered.order], of_source=of_source)
 
     @cached_property
     def _source(self) -> ScaledSource:
@@ -90,7 +101,7 @@ class MergedMixture:
     @cached_property
     def _target(self) -> ScaledTarget:
         order, points, matrices, spreads, reach = self._ordered
-        boxes = make_boxes(points)
+        boxes = find_corners(points)
         of_tiles, of_groups = maxima(reach)
         return ScaledTarget(
             packed=pack(points, self.weights[order], len(matrices)),
@@ -121,15 +132,13 @@ class MergedMixture:
         return target._replace(packed=packed, covariances=target.covariances[:1], spreads=target.spreads[:1])
 
     @cached_property
-    def _ordered(self) -> tuple[Any, ...]:
-        """The components' order in space; in it, points (3, n), packed covariances and spreads (6, n), largest
-        variances and bounds on those of the spreads (2, n); in powers of two."""
+    def _ordered(self) -> Ordered:
         order = morton_order(self.points)
         points = self.points.astype(np.float32).T.take(order, axis=1)
         covariances, spreads = packed(self.covariances, self.dimension), packed(self.spreads, self.dimension)
         reach = np.stack([self.largest_variances, spreads[0] + spreads[3] + spreads[5]])
         in_powers = ((values / LOG2_SCALE).astype(np.float32) for values in (covariances, spreads, reach))
-        return order, points, *(values.take(order, axis=1) for values in in_powers)
+        return Ordered(order, points, *(values.take(order, axis=1) for values in in_powers))
 
 
 def merge(mixture: Mixture, count: int) -> MergedMixture:

@@ -4,15 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from adagmm_o3d.arguments import Array
-from adagmm_o3d.kernels.cpu.adaptive_rows import adaptive_sums
-from adagmm_o3d.kernels.cpu.convolved_pass import Kind, PassSource, PassTarget, convolution_sums, pack
+from adagmm_o3d.kernels.cpu.adaptive_rows import AdaptiveSource, AdaptiveTarget, adaptive_sums
+from adagmm_o3d.kernels.cpu.convolved_pass import (
+    Kind,
+    PassSource,
+    PassSums,
+    PassTarget,
+    Weighing,
+    convolution_sums,
+    pack,
+)
+from adagmm_o3d.kernels.cpu.convolved_rows import Hues
 from adagmm_o3d.kernels.cpu.culling import CHUNK, CLUSTER
 from adagmm_o3d.kernels.cpu.nearest import nearest_sq
 from adagmm_o3d.kernels.cpu.ranges import run_in_ranges
@@ -82,6 +91,13 @@ def side_of(mixture: Mixture, isotropic: bool) -> Side:
     return mixture.kept_for(("side", isotropic), lambda: Side(mixture, isotropic))
 
 
+class Matrices(NamedTuple):
+    """Precisions or covariances of source and target in the kernels' order, (1 or 6, n) packed, in powers of two."""
+
+    source: Float32
+    target: Float32
+
+
 class PairLoop:
     """The pairs of a source and a target mixture (normalised coordinates), evaluated by the CPU kernels.
 
@@ -96,24 +112,21 @@ class PairLoop:
         self._bands = min(BANDS, -(-len(source) // CLUSTER))
         self._threads = max(1, min(numba.get_num_threads(), len(source) * len(target) // PAIRS_PER_THREAD))
         self._unit = LOG2_SCALE ** (1.0 if self._planar else 1.5)  # |Σ|^(-1/2) in powers of two
-        self._no_columns = np.empty((self._bands, 0), np.float32)
 
     def sums(self, pose: Array, source_sigma: float, target_sigma: float) -> PairSums:
         """The paper's E-step at `pose` (4, 4), the covariances of either side times its σ, summed up for the M-step."""
         source, target = self._source, self._target
-        matrices, target_matrices, scaled = self._precisions
+        (matrices, target_matrices), scaled = self._precisions, self._scaled_precisions
         np.multiply(target_matrices, np.float32(1.0 / target_sigma), out=scaled)
         partials, row_weights = np.empty((self._chunks, TOTAL_SUMS)), np.empty(len(source.order))
         self._run(
             adaptive_sums,
             _packed_pose(pose),
             np.array([source_sigma, target_sigma], np.float32),
-            (source.points, matrices, source.amplitudes, source.variances, source.bits),
-            (target.points, scaled, target.amplitudes),
+            AdaptiveSource(source.points, matrices, source.amplitudes, source.variances, source.bits),
+            AdaptiveTarget(target.points, scaled, target.amplitudes),
             target.tiles,
             self._isotropic,
-            0,
-            self._chunks,
             partials,
             row_weights,
         )
@@ -141,15 +154,15 @@ class PairLoop:
         if mutuality > 0.0:
             columns = self._column_densities(pose, sigma, packed, colour)
             factors[:] = (uniform / (columns + uniform)) ** mutuality
-        partials = np.empty((self._bands, TOTAL_SUMS))
-        densities = self._convolve(pose, sigma, packed, colour, uniform, mutuality, self._no_columns, partials)
+        sums = self._convolve(pose, sigma, packed, colour, Weighing(uniform * self._unit, mutuality))
+        densities = sums.densities / self._unit
 
         def find_column_densities() -> Array:
             found = self._column_densities(pose, sigma, self._packed(colour), colour) if columns is None else columns
             return target.restore(found if colour is None else found / colour.expected)
 
         return PosteriorSums(
-            total_of(partials), self._source.restore(densities / (densities + uniform)), find_column_densities
+            total_of(sums.totals), self._source.restore(densities / (densities + uniform)), find_column_densities
         )
 
     def nearest_sq(self, pose: Array) -> Array:
@@ -161,8 +174,6 @@ class PairLoop:
             self._source.points,
             self._target.points,
             self._target.tiles,
-            0,
-            self._chunks,
             nearest,
         )
         return self._source.restore(nearest)
@@ -176,33 +187,35 @@ class PairLoop:
         return side_of(self._mixtures[1], self._isotropic)
 
     @cached_property
-    def _precisions(self) -> tuple[Float32, Float32, Float32]:
-        """Precisions of source and target, and room for the target's at some σ."""
-        source, matrices = self._laid_out("precisions", Side.precisions)
-        return source, matrices, np.empty_like(matrices)
+    def _precisions(self) -> Matrices:
+        return self._laid_out("precisions", Side.precisions)
 
     @cached_property
-    def _convolved(self) -> tuple[Float32, Float32]:
-        """Covariances of source and target."""
+    def _scaled_precisions(self) -> Float32:
+        """Room for the target's at some σ."""
+        return np.empty_like(self._precisions.target)
+
+    @cached_property
+    def _covariances(self) -> Matrices:
         return self._laid_out("covariances", Side.covariances)
 
-    def _laid_out(self, what: str, lay_out: Callable[[Side, Mixture], Float32]) -> tuple[Float32, Float32]:
-        """The matrices of source and target, which each of the mixtures keeps."""
+    def _laid_out(self, what: str, lay_out: Callable[[Side, Mixture], Float32]) -> Matrices:
+        """The matrices of both sides, each kept by its mixture."""
         source, target = (
             mixture.kept_for((what, self._isotropic), partial(lay_out, side, mixture))
             for side, mixture in zip((self._source, self._target), self._mixtures, strict=True)
         )
-        return source, target
+        return Matrices(source, target)
 
     @cached_property
     def _plain(self) -> Float32:
         """The packed target with room for its covariances at some σ."""
-        return pack(self._target.points, self._target.weights32, len(self._convolved[1]))
+        return pack(self._target.points, self._target.weights32, len(self._covariances.target))
 
     @cached_property
     def _coloured(self) -> Float32:
         """The same with room for colours."""
-        return pack(self._target.points, self._target.weights32, len(self._convolved[1]), HUES)
+        return pack(self._target.points, self._target.weights32, len(self._covariances.target), HUES)
 
     def _packed(self, colour: ColourModel | None) -> Float32:
         if colour is None:
@@ -218,8 +231,7 @@ class PairLoop:
 
     def _column_densities(self, pose: Array, sigma: float, packed: Float32, colour: ColourModel | None) -> Array:
         """(N,) density of the source at the target points, in the kernels' order."""
-        columns = np.empty((self._bands, packed.shape[1]), np.float32)
-        self._convolve(pose, sigma, packed, colour, 0.0, 0.0, columns, np.empty((self._bands, TOTAL_SUMS)))
+        columns = self._convolve(pose, sigma, packed, colour, None).columns
         sums = np.add.reduce(columns[:, : len(self._target.order)], axis=0, dtype=np.float64)
         return sums / (self._unit * self._target.weights)
 
@@ -229,19 +241,20 @@ class PairLoop:
         sigma: float,
         packed: Float32,
         colour: ColourModel | None,
-        uniform: float,
-        mutuality: float,
-        columns: Float32,
-        partials: Array,
-    ) -> Array:
-        """Fill `columns` where there are any, otherwise `partials`; (M,) density of the target at the source points."""
+        weighing: Weighing | None,
+    ) -> PassSums:
+        """The sums of all bands, or where nothing is weighed the densities at the points of either side."""
         source, target, scale = self._source, self._target, np.float32(sigma)
-        matrices, target_matrices = self._convolved
+        matrices, target_matrices = self._covariances
         np.multiply(target_matrices, scale, out=packed[MATRIX : MATRIX + len(matrices), : len(target.order)])
-        densities = np.empty(len(source.order))
+        sums = PassSums(
+            np.empty((self._bands, 0 if weighing is not None else packed.shape[1]), np.float32),
+            np.empty((self._bands, TOTAL_SUMS)),
+            np.empty(len(source.order)),
+        )
         arguments = (
-            _packed_pose(pose),
             PassSource(
+                _packed_pose(pose),
                 source.points,
                 matrices * scale,
                 source.weights,
@@ -249,22 +262,18 @@ class PairLoop:
                 source.variances * scale,
                 source.bits,
             ),
-            None if colour is None else (self._hues(colour, of_source=True), colour.cap),
-            PassTarget(packed, target.variances * scale, target.bits),
-            target.tiles.at(scale),
-            Kind(self._planar, self._isotropic, columns is not self._no_columns),
-            uniform * self._unit,
-            mutuality,
-            columns,
-            partials,
-            densities,
+            None if colour is None else Hues(self._hues(colour, of_source=True), colour.cap),
+            PassTarget(packed, target.variances * scale, target.bits, target.tiles.at(scale)),
+            Kind(self._planar, self._isotropic, densities_only=weighing is None),
+            weighing or Weighing(0.0, 0.0),
+            sums,
         )
 
         def run(first: int, last: int) -> None:
             convolution_sums(first, last, *arguments)
 
         run_in_ranges(convolution_sums, run, self._bands, self._threads)
-        return densities / self._unit
+        return sums
 
     def _run(self, kernel: Callable[..., None], *args: Any) -> None:
         threads = numba.get_num_threads()

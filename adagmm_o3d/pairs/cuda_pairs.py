@@ -24,7 +24,7 @@ from adagmm_o3d.kernels.cuda import (
     scores,
 )
 from adagmm_o3d.kernels.cuda.front_end import TILE, cuda
-from adagmm_o3d.kernels.cuda.held import Held, Turn, upload
+from adagmm_o3d.kernels.cuda.held import Buffers, Held, upload
 from adagmm_o3d.kernels.cuda.tiles import tiled
 from adagmm_o3d.kernels.formulas import LOG2_SCALE
 from adagmm_o3d.kernels.layout import TOTAL_SUMS
@@ -131,15 +131,15 @@ class CudaPairLoop:
         self._row_partials = cuda.device_array((TOTAL_SUMS, self._source_tiles), np.float64)
         self._totals = cuda.device_array(TOTAL_SUMS, np.float64)
         self._densities32 = cuda.device_array((self._target_tiles, TILE), np.float32)
-        self._row_turn = Turn(m, self._source.restore, len(source))
-        self._column_turn = Turn(n, self._target.restore, len(target))
+        self._row_buffers = Buffers(m, self._source.restore, len(source))
+        self._column_buffers = Buffers(n, self._target.restore, len(target))
 
     def sums(self, pose: Array, source_sigma: float, target_sigma: float) -> CudaPairSums:
         """As `PairLoop.sums`."""
         source, _, amplitudes = self._precisions
         self._move(pose, np.float32(1.0 / source_sigma), False, source)
         self.launch_adaptive_rows(source_sigma, target_sigma)
-        weights = self._row_turn.take()
+        weights = self._row_buffers.take()
         self._kernels.reduce_adaptive[self._source_tiles, TILE](
             self._moved, self._rows, amplitudes, weights.buffer, self._row_partials
         )
@@ -161,7 +161,7 @@ class CudaPairLoop:
         uniform = uniform * expected
         columns = self._reduced_columns(sigma, hues) if mutuality > 0.0 else None
         self.launch_convolved_rows(sigma, uniform, mutuality, hues)
-        posteriors = self._row_turn.take()
+        posteriors = self._row_buffers.take()
         reductions.reduce_convolved[self._source_tiles, TILE](
             self._moved,
             self._rows,
@@ -198,7 +198,7 @@ class CudaPairLoop:
     def _reduced_columns(self, sigma: float, hues: Hues) -> Held:
         """The column densities, with the source where it was last moved to."""
         self.launch_convolved_columns(sigma, hues)
-        columns = self._column_turn.take()
+        columns = self._column_buffers.take()
         reductions.reduce_columns[self._target_tiles, TILE](
             self._column_parts, self._unit, columns.buffer, self._densities32
         )
@@ -305,7 +305,7 @@ class CudaPairLoop:
         """Every array on the device that a pass fills before it reads it; a check may spoil them beforehand."""
         arrays = [self._moved, self._moved_boxes, self._rows, self._column_parts, self._row_partials]
         arrays += [self._densities32, self._totals, self._nearest_parts, self._nearest]
-        return arrays + self._row_turn.arrays() + self._column_turn.arrays()
+        return arrays + self._row_buffers.arrays() + self._column_buffers.arrays()
 
     @cached_property
     def _precisions(self) -> tuple[Any, Any, Any]:

@@ -33,7 +33,7 @@ from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.m_step import FREE
 from adagmm_o3d.em.runs import inverse_of
 from adagmm_o3d.em.unmatched import uniform_density
-from adagmm_o3d.kernels.cpu.scores import score_sums
+from adagmm_o3d.kernels.cpu.scores import Reach, ScoredPoints, score_sums
 from adagmm_o3d.kernels.layout import CURVATURE, POINT_SUMS, SCORE, SENSITIVITY
 from adagmm_o3d.lie import hat, se_adjoint
 from adagmm_o3d.mixtures.colours import ColourModel
@@ -252,8 +252,8 @@ class _Side:
             None if self.colours is None else self.colours[index],
         )
 
-    def arrays(self) -> tuple[Array, ...]:
-        return self.points, self.covariances, self.variances, self.weights
+    def scored(self) -> ScoredPoints:
+        return ScoredPoints(self.points, self.covariances, self.variances, self.weights)
 
 
 def _side(mixture: Mixture, fit: Fit, pose: Array, weights: Array, axis: int) -> _Side:
@@ -302,7 +302,8 @@ def _score_sums(
             fit.colour.floor,
             fit.colour.expected,
         )
-    score_sums(own.arrays(), other.arrays(), shares[other.index], windows, own_is_source, planar, CUT, sums, hues)
+    within = Reach(windows, CUT)
+    score_sums(own.scored(), other.scored(), shares[other.index], within, own_is_source, planar, sums, hues)
     return sums
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from adagmm_o3d.kernels.cpu import culling
 from adagmm_o3d.kernels.cpu.convolved_pass import points_in_reach
-from adagmm_o3d.kernels.cpu.culling import GROUP, RUN, TILE, closest_tile, next_run, reach, reach_sq
+from adagmm_o3d.kernels.cpu.culling import GROUP, RUN, TILE, Box, Boxes, closest_tile, next_run, reach, reach_sq
 from adagmm_o3d.kernels.cpu.tiles import make_tiles, morton_order
 
 COUNT = 3 * GROUP * TILE + 5 * TILE + 3
@@ -27,7 +27,7 @@ class Scene:
             corner = rng.normal(size=3) * 1.5
             lo, hi = corner.astype(np.float32), (corner + rng.uniform(0.01, 0.3, 3)).astype(np.float32)
             variance, bits = np.float32(vague * rng.uniform(0.2, 3.0)), np.float32(rng.uniform(4.0, 26.0))
-            self.boxes.append((lo, hi, variance, bits))
+            self.boxes.append(Box(lo, hi, variance, bits))
 
     def tiles_in_reach(self, box, sigma):
         """Of the paper's weights."""
@@ -49,9 +49,10 @@ def reached(box, lo, hi, variances, bits, convolved):
 @pytest.mark.parametrize("kind", ["groups", "tiles", "points"])
 def test_what_is_in_reach(kind, vague):
     scene = Scene(0, vague)
-    of_groups = scene.tiles.group_lo, scene.tiles.group_hi, scene.tiles.group_variance, scene.tiles.group_bits
-    of_tiles = scene.tiles.lo, scene.tiles.hi, scene.tiles.variance, scene.tiles.bits
-    of_points = scene.x, scene.x, scene.variances, scene.bits
+    t = scene.tiles
+    of_groups = Boxes(t.group_lo, t.group_hi, t.group_variance, t.group_bits)
+    of_tiles = Boxes(t.lo, t.hi, t.variance, t.bits)
+    of_points = Boxes(scene.x, scene.x, scene.variances, scene.bits)
     others, step = {"groups": (of_groups, 1), "tiles": (of_tiles, GROUP), "points": (of_points, TILE)}[kind]
     count, counts = len(others[2]), []
     for box in scene.boxes:
@@ -59,7 +60,7 @@ def test_what_is_in_reach(kind, vague):
         for first in range(0, count, step):
             last = min(count, first + step)
             beyond = np.empty(step, np.float32)
-            hits = reach(first, last, *box, *others, beyond)
+            hits = reach(first, last, box, others, beyond)
             np.testing.assert_array_equal(beyond[: last - first] < 0.0, expected[first:last])
             assert hits == expected[first:last].sum()
             counts.append(hits)
@@ -77,8 +78,8 @@ def test_the_points_in_reach_are_put_behind_those_before(vague):
         index = np.full(3 + len(tiles) * TILE + 1, -1, np.int32)
         index[:3] = before
         count = points_in_reach(
-            tiles[0], tiles[-1] + 1, *box, scene.x, scene.variances, scene.bits, beyond, np.empty(TILE, np.float32),
-            index, 3,
+            tiles[0], tiles[-1] + 1, box, Boxes(scene.x, scene.x, scene.variances, scene.bits),
+            beyond, np.empty(TILE, np.float32), index, 3,
         )  # fmt: skip
         np.testing.assert_array_equal(index[:count], [*before, *np.flatnonzero(expected)])
         chosen += expected.sum()

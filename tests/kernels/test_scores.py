@@ -6,7 +6,7 @@ import reference
 from mixtures import random_colours, random_points_and_covariances
 
 from adagmm_o3d.em.m_step import FREE
-from adagmm_o3d.kernels.cpu.scores import score_sums
+from adagmm_o3d.kernels.cpu.scores import Reach, ScoredPoints, score_sums
 from adagmm_o3d.kernels.layout import CURVATURE, POINT_SUMS, SCORE, SENSITIVITY
 from adagmm_o3d.lie import se_exp
 
@@ -25,7 +25,7 @@ class Side:
 
     def as_argument(self):
         packed = self.covariances.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]].copy(order="C")
-        return self.points, packed, self.variances, self.weights
+        return ScoredPoints(self.points, packed, self.variances, self.weights)
 
 
 class Pairs:
@@ -77,8 +77,8 @@ class Pairs:
         sums = np.full((len(own.points), POINT_SUMS), np.nan)
         if windows is None:
             windows = np.repeat([[0], [len(other.points)]], len(own.points), axis=1)
-        args = (own.as_argument(), other.as_argument(), other.shares, windows)
-        score_sums(*args, own_is_source, self.dimension == 2, cut, sums, hues)
+        args = (own.as_argument(), other.as_argument(), other.shares, Reach(windows, cut))
+        score_sums(*args, own_is_source, self.dimension == 2, sums, hues)
         return sums
 
     def check(self, sums, own_is_source, counts):

@@ -4,22 +4,45 @@ Every array is a structure of arrays (one row per component), so that the innerm
 vector code. Pairs are evaluated in float32 and summed in float64.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit, prange
+from numpy.typing import NDArray
 
 from adagmm_o3d.kernels.cpu.compiling import F0, F1, FLAGS, KERNEL_FLAGS, POINTWISE_FLAGS, formulas, source_stamp
-from adagmm_o3d.kernels.cpu.culling import CLUSTER, CLUSTERS_PER_CHUNK, RUN, cluster_box, largest, next_run
+from adagmm_o3d.kernels.cpu.culling import CLUSTER, CLUSTERS_PER_CHUNK, RUN, Box, cluster_box, largest, next_run
 from adagmm_o3d.kernels.cpu.moving import move_symmetric
 from adagmm_o3d.kernels.cpu.normal_equations import add_rows
-from adagmm_o3d.kernels.layout import ENERGY, PRECISION, PULL, ROW_SUMS, TURN, WEIGHT
+from adagmm_o3d.kernels.layout import ENERGY, PRECISION, PULL, ROW_SUMS, TORQUE, WEIGHT
 
 adaptive_full, adaptive_isotropic, dot = formulas.adaptive_full, formulas.adaptive_isotropic, formulas.dot
 
 
+class AdaptiveSource(NamedTuple):
+    """A source: points (3, M), precisions (1 or 6, M) packed, amplitudes, largest variances and bits (M,), see
+    `culling.reach_sq`."""
+
+    points: NDArray[np.float32]
+    precisions: NDArray[np.float32]
+    amplitudes: NDArray[np.float32]
+    variances: NDArray[np.float32]
+    bits: NDArray[np.float32]
+
+
+class AdaptiveTarget(NamedTuple):
+    """A target: points (3, N), precisions (1 or 6, N) packed at its σ, amplitudes (N,)."""
+
+    points: NDArray[np.float32]
+    precisions: NDArray[np.float32]
+    amplitudes: NDArray[np.float32]
+
+
 @njit(**FLAGS)
-def rows_anisotropic(x, a, amplitudes, i, j, count, y, turned, rows):
+def rows_anisotropic(target, i, j, count, y, turned, rows):
     """Add to `rows` (layout.ROW_SUMS, points) the pairs of `count` source points `y` (3, points), their precisions
     `turned` (points, 6), with the target points i..j."""
+    x, a, amplitudes = target
     x0, x1, x2, amplitude = x[0, i:j], x[1, i:j], x[2, i:j], amplitudes[i:j]
     a0, a1, a2, a3, a4, a5 = a[0, i:j], a[1, i:j], a[2, i:j], a[3, i:j], a[4, i:j], a[5, i:j]
     for k in range(count):
@@ -71,18 +94,19 @@ def rows_anisotropic(x, a, amplitudes, i, j, count, y, turned, rows):
         rows[PULL, k] += u0
         rows[PULL + 1, k] += u1
         rows[PULL + 2, k] += u2
-        rows[TURN, k] += t0
-        rows[TURN + 1, k] += t1
-        rows[TURN + 2, k] += t2
+        rows[TORQUE, k] += t0
+        rows[TORQUE + 1, k] += t1
+        rows[TORQUE + 2, k] += t2
 
 
 @njit(**FLAGS)
-def rows_isotropic(x, precisions, amplitudes, i, j, count, y, turned, weights, rows):
+def rows_isotropic(target, i, j, count, y, turned, weights, rows):
     """The same where every precision is a multiple of the identity: nothing turns, three directions share one sum.
 
     `weights` is room for those of so many pairs: the constants of the exponentials and the sums would not fit into the
     registers together.
     """
+    x, precisions, amplitudes = target
     x0, x1, x2, a, amplitude = x[0, i:j], x[1, i:j], x[2, i:j], precisions[0, i:j], amplitudes[i:j]
     for k in range(count):
         y0, y1, y2, b = y[0, k], y[1, k], y[2, k], turned[k, 0]
@@ -133,14 +157,16 @@ def _build(stamp):
     """The kernel that is called from Python; `stamp` keeps its cache fresh."""
 
     @njit(**KERNEL_FLAGS)
-    def adaptive_sums(pose, sigmas, source, target, tiles, isotropic, chunk_lo, chunk_hi, partials, row_weights):
+    def adaptive_sums(pose, sigmas, source, target, tiles, isotropic, partials, row_weights):
+        """All pairs of an `AdaptiveSource` at `pose` (12,) with an `AdaptiveTarget`; `sigmas` (2,) are those of either.
+
+        partials : (chunks, TOTAL_SUMS) and row_weights : (M,), overwritten.
+        """
         _ = stamp
         points, precisions, amplitudes, variances, bits = source
-        x, a, target_amplitudes = target
-        m_all = points.shape[1]
-        n_all = x.shape[1]
+        m_all, n_all = points.shape[1], target.points.shape[1]
         count = tiles[0].shape[1]
-        for chunk in prange(chunk_lo, chunk_hi):
+        for chunk in prange(partials.shape[0]):
             total = partials[chunk]
             total[:] = 0.0
             y = np.empty((3, CLUSTER), np.float32)
@@ -154,7 +180,7 @@ def _build(stamp):
                 if m0 >= m1:
                     break
                 cluster_box(pose, points, m0, m1, y, lo, hi)
-                box = (lo, hi, sigmas[0] * largest(variances, m0, m1), largest(bits, m0, m1))
+                box = Box(lo, hi, sigmas[0] * largest(variances, m0, m1), largest(bits, m0, m1))
                 rows = np.zeros((ROW_SUMS, CLUSTER), np.float64)
                 for m in range(m0, m1):
                     move_symmetric(pose, precisions, F1 / sigmas[0], isotropic, m, turned, m - m0)
@@ -164,9 +190,9 @@ def _build(stamp):
                     if i >= j:
                         break
                     if isotropic:
-                        rows_isotropic(x, a, target_amplitudes, i, j, m1 - m0, y, turned, weights, rows)
+                        rows_isotropic(target, i, j, m1 - m0, y, turned, weights, rows)
                     else:
-                        rows_anisotropic(x, a, target_amplitudes, i, j, m1 - m0, y, turned, rows)
+                        rows_anisotropic(target, i, j, m1 - m0, y, turned, rows)
                 finish_rows(rows, m0, m1, amplitudes, turned, row_weights)
                 add_rows(rows, m1 - m0, amplitudes[m0:m1], y, total)
 

@@ -30,12 +30,12 @@ def _build(stamp):
     """The kernel that is called from Python; `stamp` keeps its cache fresh."""
 
     @njit(**SERIAL_KERNEL_FLAGS)
-    def shared_support(source, target, source_normals, target_normals, tolerance, turn, support):
+    def shared_support(source, target, source_normals, target_normals, tolerance, cosine_tolerance, support):
         """`support` (n, n) receives for each two of n correspondences that are compatible how many others are with
         both.
 
         Two are compatible when the distance between their points (n, 3) is the same in both clouds to `tolerance`, and
-        the absolute cosine between their normals (n, 3) to `turn`.
+        the absolute cosine between their normals (n, 3) to `cosine_tolerance`.
         """
         _ = stamp
         n = len(source)
@@ -49,7 +49,7 @@ def _build(stamp):
                     b += (target[i, k] - target[j, k]) ** 2
                     c += source_normals[i, k] * source_normals[j, k]
                     d += target_normals[i, k] * target_normals[j, k]
-                if abs(math.sqrt(a) - math.sqrt(b)) < tolerance and abs(abs(c) - abs(d)) < turn:
+                if abs(math.sqrt(a) - math.sqrt(b)) < tolerance and abs(abs(c) - abs(d)) < cosine_tolerance:
                     compatible[i, j // WORD] |= one << np.uint64(j % WORD)
                     compatible[j, i // WORD] |= one << np.uint64(i % WORD)
         for i in range(n):

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from adagmm_o3d.kernels.cpu.compiling import F0, F1, FLAGS, SERIAL_KERNEL_FLAGS, source_stamp
 from adagmm_o3d.kernels.cpu.convolved_rows import (
+    Cluster,
+    Hues,
     densities_full,
     densities_isotropic,
     densities_planar,
@@ -24,9 +26,10 @@ from adagmm_o3d.kernels.cpu.convolved_rows import (
     moments_isotropic,
     moments_planar,
 )
-from adagmm_o3d.kernels.cpu.culling import BLOCK, CLUSTER, GROUP, RUN, TILE, cluster_box, largest, reach
+from adagmm_o3d.kernels.cpu.culling import BLOCK, CLUSTER, GROUP, RUN, TILE, Box, Boxes, cluster_box, largest, reach
 from adagmm_o3d.kernels.cpu.moving import move_symmetric
 from adagmm_o3d.kernels.cpu.normal_equations import add_rows
+from adagmm_o3d.kernels.cpu.tiles import Tiles
 from adagmm_o3d.kernels.layout import DENSITY, MATRIX, ROW_SUMS, SHARE, TOTAL_MATCHED, TOTAL_SUMS, X
 
 # Points are filled up to a multiple of this, the floats of the widest vector register, with points of no weight: no
@@ -42,9 +45,10 @@ ZERO, ONE = np.int64(0), np.int64(1)
 
 
 class PassSource(NamedTuple):
-    """A source at σ: points (3, M), matrices (1 or 6, M) packed, weights (M,) float64 and weights32, largest variances
-    (M,), and by how many powers of two a weight may fall, bits (M,)."""
+    """A source at σ: its pose (12,), the rows of [R | t]; points (3, M), matrices (1 or 6, M) packed, weights (M,)
+    float64 and weights32, largest variances (M,), and by how many powers of two a weight may fall, bits (M,)."""
 
+    pose: NDArray[np.float32]
     points: NDArray[np.float32]
     matrices: NDArray[np.float32]
     weights: NDArray[np.float64]
@@ -54,11 +58,12 @@ class PassSource(NamedTuple):
 
 
 class PassTarget(NamedTuple):
-    """A target at σ: see `pack`; largest variances and bits (N,)."""
+    """A target at σ: see `pack`; largest variances and bits (N,); its tiles, with variances at σ."""
 
     packed: NDArray[np.float32]
     variances: NDArray[np.float32]
     bits: NDArray[np.float32]
+    tiles: Tiles
 
 
 class Kind(NamedTuple):
@@ -67,6 +72,27 @@ class Kind(NamedTuple):
     planar: bool
     isotropic: bool
     densities_only: bool
+
+
+class Weighing(NamedTuple):
+    """What turns the density of a pair into its weight: `uniform`, that of the points without a partner, and by which
+    power the posterior seen from the target counts, `mutuality`."""
+
+    uniform: float
+    mutuality: float
+
+
+class PassSums(NamedTuple):
+    """What a pass fills.
+
+    columns : (padded N,) float32 the density of a band at the target points, times their weight, if densities_only.
+    totals : (TOTAL_SUMS,) the sums of a band, if not.   densities : (M,) the target's density at the source points.
+    Of all bands columns and totals have one axis more in front.
+    """
+
+    columns: NDArray[np.float32]
+    totals: NDArray[np.float64]
+    densities: NDArray[np.float64]
 
 
 def pack(
@@ -85,22 +111,22 @@ def pack(
 
 
 @njit(**FLAGS)
-def run_rows(target, i, j, kind, count, own, y, turned, hue, cap, columns, rows):
-    """The pairs of the `count` points of a cluster with packed target points i..j."""
+def run_rows(target, i, j, kind, cluster, hue, columns, rows):
+    """The pairs of a cluster with packed target points i..j."""
     planar, isotropic, densities_only = kind
     if densities_only:
         if isotropic:
-            densities_isotropic(target, i, j, planar, count, own, y, turned, hue, cap, columns, rows)
+            densities_isotropic(target, i, j, planar, cluster, hue, columns, rows)
         elif planar:
-            densities_planar(target, i, j, count, own, y, turned, hue, cap, columns, rows)
+            densities_planar(target, i, j, cluster, hue, columns, rows)
         else:
-            densities_full(target, i, j, count, own, y, turned, hue, cap, columns, rows)
+            densities_full(target, i, j, cluster, hue, columns, rows)
     elif isotropic:
-        moments_isotropic(target, i, j, planar, count, y, turned, hue, cap, rows)
+        moments_isotropic(target, i, j, planar, cluster, hue, rows)
     elif planar:
-        moments_planar(target, i, j, count, y, turned, hue, cap, rows)
+        moments_planar(target, i, j, cluster, hue, rows)
     else:
-        moments_full(target, i, j, count, y, turned, hue, cap, rows)
+        moments_full(target, i, j, cluster, hue, rows)
 
 
 @njit(**FLAGS)
@@ -127,19 +153,17 @@ def take_hues(hues, first, last, hue):
     if hues is not None:
         for k in range(last - first):
             for i in range(3):
-                hue[i, k] = hues[0][i, first + k]
+                hue.colours[i, k] = hues.colours[i, first + k]
 
 
 @njit(**FLAGS)
-def points_in_reach(
-    first, last, lo, hi, variance, bits, packed, variances, point_bits, beyond, beyond_points, index, count
-):
+def points_in_reach(first, last, box, points, beyond, beyond_points, index, count):
     """Put the points that a source cluster can reach, of those of tiles first..last whose `beyond` is negative, behind
-    the first `count` of `index`; how many they are now. See `culling.reach`."""
+    the first `count` of `index`; how many they are now. See `culling.reach`; `points` are boxes without extent."""
     for t in range(first, last):
         if beyond[t - first] < F0:
-            n0, n1 = t * TILE, min(variances.shape[0], (t + 1) * TILE)
-            reach(n0, n1, lo, hi, variance, bits, packed, packed, variances, point_bits, beyond_points)
+            n0, n1 = t * TILE, min(points.bits.shape[0], (t + 1) * TILE)
+            reach(n0, n1, box, points, beyond_points)
             for n in range(n0, n1):
                 index[count] = n
                 count += beyond_points[n - n0] < F0
@@ -147,28 +171,29 @@ def points_in_reach(
 
 
 @njit(**FLAGS)
-def convolved_pass(band, bands, pose, source, hues, target, tiles, kind, uniform, mutuality, columns, total, densities):
+def convolved_pass(band, bands, source, hues, target, kind, weighing, sums):
     """The pairs of one of several bands of the source with all of the target, serially.
 
-    source, target, kind : `PassSource`, `PassTarget`, `Kind`.
-    hues : colours of the source points (3, M) and the `cap`, see `convolved_rows`; None where colours do not count.
-    tiles : the target's, `tiles.Tiles` with variances at σ.
-    columns : (padded N,) float32, receives the density of the band at the target points, times their weight, if
-    densities_only.   total : (TOTAL_SUMS,), receives the sums if not.
-    densities : (M,) receives the target's density at the source points.
+    source, target, kind, weighing, sums : `PassSource` and so on.
+    hues : colours of the source points; None where these do not count, for which Numba compiles the loops anew.
     """
-    points, matrices, weights, weights32, variances, bits = source
-    packed, target_variances, target_bits = target
+    pose, points, matrices, weights, weights32, variances, bits = source
+    packed, target_variances, target_bits, tiles = target
+    uniform, mutuality = weighing
+    columns, total, densities = sums
     tile_lo, tile_hi, tile_variance, tile_bits, group_lo, group_hi, group_variance, group_bits = tiles
     _, isotropic, densities_only = kind
     m_all = points.shape[1]
     tile_count, group_count = tile_lo.shape[1], group_lo.shape[1]
+    groups_met = Boxes(group_lo, group_hi, group_variance, group_bits)
+    tiles_met = Boxes(tile_lo, tile_hi, tile_variance, tile_bits)
+    points_met = Boxes(packed, packed, target_variances, target_bits)
     y = np.empty((3, CLUSTER), np.float32)
     y_block = np.empty((3, BLOCK * CLUSTER), np.float32)
     lo = np.empty(3, np.float32)
     hi = np.empty(3, np.float32)
     own = np.empty(CLUSTER, np.float32)
-    hue, cap = (None, F0) if hues is None else (np.empty((3, CLUSTER), np.float32), hues[1])
+    hue = None if hues is None else Hues(np.empty((3, CLUSTER), np.float32), hues.cap)
     turned = np.empty((CLUSTER, 6), np.float32)
     rows = np.empty((ROW_SUMS, CLUSTER), np.float64)
     amplitudes = np.empty(CLUSTER, np.float64)
@@ -189,11 +214,8 @@ def convolved_pass(band, bands, pose, source, hues, target, tiles, kind, uniform
         if (cluster - first_cluster) % BLOCK == 0:
             m0, m1 = cluster * CLUSTER, min(m_all, min(cluster + BLOCK, last_cluster) * CLUSTER)
             cluster_box(pose, points, m0, m1, y_block, lo, hi)
-            variance, own_bits = largest(variances, m0, m1), largest(bits, m0, m1)
-            reach(
-                ZERO, group_count, lo, hi, variance, own_bits,
-                group_lo, group_hi, group_variance, group_bits, beyond_groups,
-            )  # fmt: skip
+            box = Box(lo, hi, largest(variances, m0, m1), largest(bits, m0, m1))
+            reach(ZERO, group_count, box, groups_met, beyond_groups)
             met = 0
             for g in range(group_count):
                 groups[met] = g
@@ -201,12 +223,13 @@ def convolved_pass(band, bands, pose, source, hues, target, tiles, kind, uniform
         m0 = cluster * CLUSTER
         m1 = min(m_all, m0 + CLUSTER)
         cluster_box(pose, points, m0, m1, y, lo, hi)
-        variance, own_bits = largest(variances, m0, m1), largest(bits, m0, m1)
+        box = Box(lo, hi, largest(variances, m0, m1), largest(bits, m0, m1))
         rows[:] = 0.0
         for k in range(m1 - m0):
             own[k] = weights32[m0 + k]
             move_symmetric(pose, matrices, F1, isotropic, m0 + k, turned, k)
         take_hues(hues, m0, m1, hue)
+        members = Cluster(m1 - m0, y, turned, own)
         count = ZERO
         i = 0
         while i < met or count > 0:
@@ -221,24 +244,17 @@ def convolved_pass(band, bands, pose, source, hues, target, tiles, kind, uniform
             else:
                 g = groups[i]
                 i += 1
-                if not reach(
-                    g, g + 1, lo, hi, variance, own_bits, group_lo, group_hi, group_variance, group_bits, beyond
-                ):  # fmt: skip
+                if not reach(g, g + 1, box, groups_met, beyond):
                     continue
                 first, last = g * GROUP, min(tile_count, (g + 1) * GROUP)
-                hits = reach(
-                    first, last, lo, hi, variance, own_bits, tile_lo, tile_hi, tile_variance, tile_bits, beyond
-                )  # fmt: skip
+                hits = reach(first, last, box, tiles_met, beyond)
                 if hits < last - first and (hits == 0 or last - first > FEW_TILES):
                     if hits > 0:
-                        count = points_in_reach(
-                            first, last, lo, hi, variance, own_bits,
-                            packed, target_variances, target_bits, beyond, beyond_points, index, count,
-                        )  # fmt: skip
+                        count = points_in_reach(first, last, box, points_met, beyond, beyond_points, index, count)
                     continue
                 n0, n1 = first * TILE, last * TILE
                 run, run_columns = packed, columns
-            run_rows(run, n0, n1, kind, m1 - m0, own, y, turned, hue, cap, run_columns, rows)
+            run_rows(run, n0, n1, kind, members, hue, run_columns, rows)
             if gathered:
                 if densities_only:
                     for k in range(count):
@@ -262,18 +278,13 @@ def _build(stamp):
     """The kernel that is called from Python; `stamp` keeps its cache fresh."""
 
     @njit(**SERIAL_KERNEL_FLAGS)
-    def convolution_sums(
-        first, last, pose, source, hues, target, tiles, kind, uniform, mutuality, columns, partials, densities
-    ):
-        """Bands first..last: fill `densities` (M,) and `partials` (bands, TOTAL_SUMS) or `columns` (bands, N); see
-        `convolved_pass`."""
+    def convolution_sums(first, last, source, hues, target, kind, weighing, sums):
+        """Bands first..last of `sums`; see `convolved_pass`."""
         _ = stamp
-        bands = partials.shape[0]
+        bands = sums.totals.shape[0]
         for band in range(first, last):
-            convolved_pass(
-                np.int64(band), bands, pose, source, hues, target, tiles, kind, uniform, mutuality,
-                columns[band], partials[band], densities,
-            )  # fmt: skip
+            own = PassSums(sums.columns[band], sums.totals[band], sums.densities)
+            convolved_pass(np.int64(band), bands, source, hues, target, kind, weighing, own)
 
     return convolution_sums
 

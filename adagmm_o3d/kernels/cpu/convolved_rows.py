@@ -10,8 +10,11 @@ exponent, so a pair takes no further exponential. Without colours `hue` is None,
 them.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from adagmm_o3d.kernels.cpu.compiling import F0, FLAGS, formulas
 from adagmm_o3d.kernels.cpu.culling import TILE
@@ -40,6 +43,24 @@ capped_distance = formulas.capped_distance
 WHOLE = np.uint64(TILE)
 
 
+class Cluster(NamedTuple):
+    """The `size` points of a source cluster as they lie at a pose: y (3, CLUSTER), matrices (CLUSTER, 6) at σ, weights
+    (CLUSTER,)."""
+
+    size: int
+    y: NDArray[np.float32]
+    matrices: NDArray[np.float32]
+    weights: NDArray[np.float32]
+
+
+class Hues(NamedTuple):
+    """Colours of points (3, n), in units in which the weight of a pair halves where they differ by one, and `cap`, the
+    squared difference at which it falls no further."""
+
+    colours: NDArray[np.float32]
+    cap: np.float32
+
+
 @njit(**FLAGS)
 def whole_tiles(i, j):
     """How many points i..j are, said so that the compiler knows that no part of a vector is left over."""
@@ -47,12 +68,9 @@ def whole_tiles(i, j):
 
 
 @njit(**FLAGS)
-def moments_full(target, i, j, count, y, turned, hue, cap, rows):
-    """Add to `rows` (layout.ROW_SUMS, points) the pairs of `count` source points `y` (3, points), their matrices
-    `turned` (points, 6).
-
-    hue : (3, points) their colours, in units in which the weight of a pair halves where they differ by one, or None.
-    cap : the squared difference at which a pair's weight falls no further."""
+def moments_full(target, i, j, cluster, hue, rows):
+    """Add to `rows` (layout.ROW_SUMS, CLUSTER) the pairs of a `Cluster`, `hue` its `Hues` or None."""
+    count, y, turned, _ = cluster
     first = np.uint64(i)
     for k in range(count):
         y0, y1, y2 = y[0, k], y[1, k], y[2, k]
@@ -70,7 +88,7 @@ def moments_full(target, i, j, count, y, turned, hue, cap, rows):
         u1 = F0
         u2 = F0
         if hue is not None:
-            h0, h1, h2 = hue[0, k], hue[1, k], hue[2, k]
+            h0, h1, h2 = hue.colours[0, k], hue.colours[1, k], hue.colours[2, k]
         for m in range(whole_tiles(i, j)):
             n = first + m
             dx = y0 - target[X, n]
@@ -89,7 +107,7 @@ def moments_full(target, i, j, count, y, turned, hue, cap, rows):
                 target[MATRIX + 5, n] + b5,
             )
             if hue is not None:
-                unlike = capped_distance(h0, h1, h2, target[HUE, n], target[HUE + 1, n], target[HUE + 2, n], cap)
+                unlike = capped_distance(h0, h1, h2, target[HUE, n], target[HUE + 1, n], target[HUE + 2, n], hue.cap)
                 exponent = q + unlike
             else:
                 exponent = q
@@ -125,8 +143,9 @@ def moments_full(target, i, j, count, y, turned, hue, cap, rows):
 
 
 @njit(**FLAGS)
-def moments_planar(target, i, j, count, y, turned, hue, cap, rows):
+def moments_planar(target, i, j, cluster, hue, rows):
     """The same in the plane."""
+    count, y, turned, _ = cluster
     first = np.uint64(i)
     for k in range(count):
         y0, y1 = y[0, k], y[1, k]
@@ -140,7 +159,7 @@ def moments_planar(target, i, j, count, y, turned, hue, cap, rows):
         u0 = F0
         u1 = F0
         if hue is not None:
-            h0, h1, h2 = hue[0, k], hue[1, k], hue[2, k]
+            h0, h1, h2 = hue.colours[0, k], hue.colours[1, k], hue.colours[2, k]
         for m in range(whole_tiles(i, j)):
             n = first + m
             dx = y0 - target[X, n]
@@ -150,7 +169,7 @@ def moments_planar(target, i, j, count, y, turned, hue, cap, rows):
             s3 = target[MATRIX + 3, n] + b3
             height, inverse, q, vx, vy = convolved_planar(target[SHARE, n], dx, dy, s0, s1, s3)
             if hue is not None:
-                unlike = capped_distance(h0, h1, h2, target[HUE, n], target[HUE + 1, n], target[HUE + 2, n], cap)
+                unlike = capped_distance(h0, h1, h2, target[HUE, n], target[HUE + 1, n], target[HUE + 2, n], hue.cap)
                 exponent = q + unlike
             else:
                 exponent = q
@@ -178,8 +197,9 @@ def moments_planar(target, i, j, count, y, turned, hue, cap, rows):
 
 
 @njit(**FLAGS)
-def moments_isotropic(target, i, j, planar, count, y, turned, hue, cap, rows):
+def moments_isotropic(target, i, j, planar, cluster, hue, rows):
     """The same where every covariance is a multiple of the identity."""
+    count, y, turned, _ = cluster
     first = np.uint64(i)
     for k in range(count):
         y0, y1, y2, b = y[0, k], y[1, k], y[2, k], turned[k, 0]
@@ -191,7 +211,7 @@ def moments_isotropic(target, i, j, planar, count, y, turned, hue, cap, rows):
         u1 = F0
         u2 = F0
         if hue is not None:
-            h0, h1, h2 = hue[0, k], hue[1, k], hue[2, k]
+            h0, h1, h2 = hue.colours[0, k], hue.colours[1, k], hue.colours[2, k]
         for m in range(whole_tiles(i, j)):
             n = first + m
             dx = y0 - target[X, n]
@@ -206,7 +226,7 @@ def moments_isotropic(target, i, j, planar, count, y, turned, hue, cap, rows):
                     target[ISOTROPIC_HUE, n],
                     target[ISOTROPIC_HUE + 1, n],
                     target[ISOTROPIC_HUE + 2, n],
-                    cap,
+                    hue.cap,
                 )
                 exponent = q + unlike
             else:
@@ -235,16 +255,17 @@ def moments_isotropic(target, i, j, planar, count, y, turned, hue, cap, rows):
 
 
 @njit(**FLAGS)
-def densities_full(target, i, j, count, own, y, turned, hue, cap, columns, rows):
+def densities_full(target, i, j, cluster, hue, columns, rows):
     """Add the target's density at source points `y` of weights `own` to `rows`, and theirs at its points to `columns`
     (as long as the target), each times the weight of the target point."""
+    count, y, turned, own = cluster
     first = np.uint64(i)
     for k in range(count):
         y0, y1, y2, weight = y[0, k], y[1, k], y[2, k], own[k]
         b0, b1, b2, b3, b4, b5 = turned[k, 0], turned[k, 1], turned[k, 2], turned[k, 3], turned[k, 4], turned[k, 5]
         density = F0
         if hue is not None:
-            h0, h1, h2 = hue[0, k], hue[1, k], hue[2, k]
+            h0, h1, h2 = hue.colours[0, k], hue.colours[1, k], hue.colours[2, k]
         for m in range(whole_tiles(i, j)):
             n = first + m
             dx = y0 - target[X, n]
@@ -263,7 +284,7 @@ def densities_full(target, i, j, count, own, y, turned, hue, cap, columns, rows)
                 target[MATRIX + 5, n] + b5,
             )
             if hue is not None:
-                unlike = capped_distance(h0, h1, h2, target[HUE, n], target[HUE + 1, n], target[HUE + 2, n], cap)
+                unlike = capped_distance(h0, h1, h2, target[HUE, n], target[HUE + 1, n], target[HUE + 2, n], hue.cap)
                 exponent = q + unlike
             else:
                 exponent = q
@@ -274,15 +295,16 @@ def densities_full(target, i, j, count, own, y, turned, hue, cap, columns, rows)
 
 
 @njit(**FLAGS)
-def densities_planar(target, i, j, count, own, y, turned, hue, cap, columns, rows):
+def densities_planar(target, i, j, cluster, hue, columns, rows):
     """The same in the plane."""
+    count, y, turned, own = cluster
     first = np.uint64(i)
     for k in range(count):
         y0, y1, weight = y[0, k], y[1, k], own[k]
         b0, b1, b3 = turned[k, 0], turned[k, 1], turned[k, 3]
         density = F0
         if hue is not None:
-            h0, h1, h2 = hue[0, k], hue[1, k], hue[2, k]
+            h0, h1, h2 = hue.colours[0, k], hue.colours[1, k], hue.colours[2, k]
         for m in range(whole_tiles(i, j)):
             n = first + m
             dx = y0 - target[X, n]
@@ -291,7 +313,7 @@ def densities_planar(target, i, j, count, own, y, turned, hue, cap, columns, row
                 target[SHARE, n], dx, dy, target[MATRIX, n] + b0, target[MATRIX + 1, n] + b1, target[MATRIX + 3, n] + b3
             )
             if hue is not None:
-                unlike = capped_distance(h0, h1, h2, target[HUE, n], target[HUE + 1, n], target[HUE + 2, n], cap)
+                unlike = capped_distance(h0, h1, h2, target[HUE, n], target[HUE + 1, n], target[HUE + 2, n], hue.cap)
                 exponent = q + unlike
             else:
                 exponent = q
@@ -302,14 +324,15 @@ def densities_planar(target, i, j, count, own, y, turned, hue, cap, columns, row
 
 
 @njit(**FLAGS)
-def densities_isotropic(target, i, j, planar, count, own, y, turned, hue, cap, columns, rows):
+def densities_isotropic(target, i, j, planar, cluster, hue, columns, rows):
     """The same where every covariance is a multiple of the identity."""
+    count, y, turned, own = cluster
     first = np.uint64(i)
     for k in range(count):
         y0, y1, y2, b, weight = y[0, k], y[1, k], y[2, k], turned[k, 0], own[k]
         density = F0
         if hue is not None:
-            h0, h1, h2 = hue[0, k], hue[1, k], hue[2, k]
+            h0, h1, h2 = hue.colours[0, k], hue.colours[1, k], hue.colours[2, k]
         for m in range(whole_tiles(i, j)):
             n = first + m
             dx = y0 - target[X, n]
@@ -324,7 +347,7 @@ def densities_isotropic(target, i, j, planar, count, own, y, turned, hue, cap, c
                     target[ISOTROPIC_HUE, n],
                     target[ISOTROPIC_HUE + 1, n],
                     target[ISOTROPIC_HUE + 2, n],
-                    cap,
+                    hue.cap,
                 )
                 exponent = q + unlike
             else:

@@ -5,8 +5,11 @@ points; each has a bounding box. Clusters are handed out in chunks, whose partia
 the same bits for any number of threads.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from adagmm_o3d.kernels.cpu.compiling import F0, FLAGS, POINTWISE_FLAGS, pointwise_formulas
 
@@ -19,6 +22,24 @@ BLOCK = 32  # clusters that look for groups together
 RUN = 1024  # target points summed in float32 before float64 takes over
 
 rotate_point = pointwise_formulas.rotate_point
+
+
+class Box(NamedTuple):
+    """A source cluster: its corners (3,), the largest variance of its points, and their most bits, see `reach_sq`."""
+
+    lo: NDArray[np.float32]
+    hi: NDArray[np.float32]
+    variance: np.float32
+    bits: np.float32
+
+
+class Boxes(NamedTuple):
+    """The same of tiles, groups or points of a target: corners (3, count), variances and bits (count,)."""
+
+    lo: NDArray[np.float32]
+    hi: NDArray[np.float32]
+    variances: NDArray[np.float32]
+    bits: NDArray[np.float32]
 
 
 @njit(**FLAGS)
@@ -52,7 +73,7 @@ def reach_sq(convolved, variance, bits, other_variance, other_bits):
 def next_run(tile, box, sigma, tiles, n):
     """The next run of target points within reach of a source cluster, from `tile` on: (first, past last, next tile).
 
-    For the paper's weights. `box` is the cluster's (corners, variance, bits); `sigma` scales the target's variances.
+    For the paper's weights. `sigma` scales the target's variances.
     Groups of GROUP tiles are skipped whole. A run ends at the first tile out of reach or after RUN points.
     """
     lo, hi, variance, bits = box
@@ -81,11 +102,13 @@ def next_run(tile, box, sigma, tiles, n):
 
 
 @njit(**REACH_FLAGS)
-def reach(i, j, lo, hi, variance, bits, other_lo, other_hi, other_variances, other_bits, beyond):
+def reach(i, j, box, others, beyond):
     """How many of the boxes i..j a source cluster can reach, for convolved weights: those whose `beyond` is negative.
 
-    `lo`, `hi`, `variance` and `bits` are the cluster's; all variances are at their σ. A point is a box without extent.
+    box, others : `Box` and `Boxes`, all variances at their σ. A point is a box without extent.
     """
+    lo, hi, variance, bits = box
+    other_lo, other_hi, other_variances, other_bits = others
     l0, l1, l2, h0, h1, h2 = lo[0], lo[1], lo[2], hi[0], hi[1], hi[2]
     hits = 0
     # An unsigned index cannot count from the end, which would keep neighbours from being loaded as a vector.

@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 
 from adagmm_o3d.kernels.cpu.acceleration import STATE, TURN_AND_SHIFT
 from adagmm_o3d.kernels.cpu.compiling import FLAGS, SERIAL_KERNEL_FLAGS, source_stamp
-from adagmm_o3d.kernels.cpu.convolved_pass import ONE, ZERO, Kind, PassSource, PassTarget, convolved_pass
+from adagmm_o3d.kernels.cpu.convolved_pass import (
+    ONE,
+    ZERO,
+    Kind,
+    PassSource,
+    PassSums,
+    PassTarget,
+    Weighing,
+    convolved_pass,
+)
 from adagmm_o3d.kernels.cpu.tiles import Tiles
 from adagmm_o3d.kernels.formulas import LOG2_SCALE
 from adagmm_o3d.kernels.layout import MATRIX, SHARE, TOTAL_ENERGY, TOTAL_MATCHED, TOTAL_SUMS, TOTAL_WEIGHT
@@ -55,7 +64,8 @@ class RunLimits(NamedTuple):
     dimension : 2 or 3.   floor, least_unmatched, most_unmatched, accelerated : see `update.Rule`.   relative_rmse,
     relaxation : see `update.m_step`; a start is done when its step is short and σ has settled.   bits : how far a
     weight may fall before its pair is left out.   compared_at : the σ whose density of points without a partner the
-    likelihoods have in common.   axis : (3,) see `update.solve`.
+    likelihoods have in common.   axis : (3,) see `update.solve`.   isotropic : whether all covariances are multiples
+    of the identity.   world : see `update.density_without_partner`.
     """
 
     dimension: int
@@ -68,6 +78,20 @@ class RunLimits(NamedTuple):
     bits: float
     compared_at: float
     axis: NDArray[np.float64]
+    isotropic: bool
+    world: float
+
+
+class Runs(NamedTuple):
+    """The starts of a call, one row each: poses (S, 12), which move; starts (S, 5), see FOLLOW; memories, see
+    `update.fresh_memory`, with those of an end its run goes on as if it had not ended; ends (S, END_COLUMNS) tell where
+    they came to; history (S, most iterations, HISTORY_COLUMNS)."""
+
+    poses: NDArray[np.float64]
+    starts: NDArray[np.float64]
+    memories: NDArray[np.float64]
+    ends: NDArray[np.float64]
+    history: NDArray[np.float64]
 
 
 class ScaledSource(NamedTuple):
@@ -106,8 +130,10 @@ class ScaledTarget(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Room for both sides at some σ, for what a pass leaves at the points of either, and how far pairs reach."""
+    """Room for both sides at some σ and pose, for what a pass leaves at the points of either and in all, and how far
+    pairs reach."""
 
+    pose: Float32
     matrices: Float32
     packed: Float32
     reach: Float32
@@ -116,13 +142,16 @@ class Work(NamedTuple):
     group_reach: Float32
     columns: Float32
     densities: NDArray[np.float64]
+    total: NDArray[np.float64]
     bits: Float32
 
 
 # Parts of their only callers: every compiled function that holds the loops over pairs takes seconds to compile.
 @njit(inline="always", **FLAGS)
-def one_pass(pose, sigma, uniform, source, hues, target, kind, work, total):
-    """All pairs at `pose`: fills `total`, or where `kind` says densities only, the densities in `work`."""
+def one_pass(pose, sigma, uniform, source, hues, target, kind, work):
+    """All pairs at `pose`: fills the total, or where `kind` says densities only, the densities in `work`."""
+    for i in range(12):
+        work.pose[i] = pose[i]
     at_scale(source.covariances, source.spreads, sigma, work.matrices, 0)
     at_scale(target.covariances, target.spreads, sigma, work.packed, MATRIX)
     at_scale(source.reach, source.reach_spreads, sigma, work.reach, 0)
@@ -130,15 +159,17 @@ def one_pass(pose, sigma, uniform, source, hues, target, kind, work, total):
     at_scale(target.tile_variance, target.tile_spreads, sigma, work.tile_reach, 0)
     at_scale(target.group_variance, target.group_spreads, sigma, work.group_reach, 0)
     convolved_pass(
-        ZERO, ONE, pose,
-        PassSource(source.points, work.matrices, source.weights, source.weights32, work.reach[0], work.bits),
+        ZERO, ONE,
+        PassSource(work.pose, source.points, work.matrices, source.weights, source.weights32, work.reach[0], work.bits),
         hues,
-        PassTarget(work.packed, work.target_reach[0], work.bits),
-        Tiles(
-            target.tile_lo, target.tile_hi, work.tile_reach[0], work.bits,
-            target.group_lo, target.group_hi, work.group_reach[0], work.bits,
+        PassTarget(
+            work.packed, work.target_reach[0], work.bits,
+            Tiles(
+                target.tile_lo, target.tile_hi, work.tile_reach[0], work.bits,
+                target.group_lo, target.group_hi, work.group_reach[0], work.bits,
+            ),
         ),
-        kind, uniform, 0.0, work.columns, total, work.densities,
+        kind, Weighing(uniform, 0.0), PassSums(work.columns, work.total, work.densities),
     )  # fmt: skip
 
 
@@ -151,9 +182,10 @@ def leave_powers_of_two(total):
 
 
 @njit(inline="always", **FLAGS)
-def run_start(pose, start, source, hues, target, isotropic, world, limits, memory, end, history):
-    """Run one start, serially; see `run_em`."""
-    planar = limits.dimension == 2
+def run_start(s, runs, source, hues, target, limits):
+    """Run start `s` of `runs`, serially; see `run_em`."""
+    pose, start, memory, end, history = runs.poses[s], runs.starts[s], runs.memories[s], runs.ends[s], runs.history[s]
+    planar, world = limits.dimension == 2, limits.world
     rule = Rule(
         limits.dimension, limits.floor, start[FASTEST], start[FOLLOW],
         limits.least_unmatched, limits.most_unmatched, limits.accelerated,
@@ -162,7 +194,9 @@ def run_start(pose, start, source, hues, target, isotropic, world, limits, memor
     all_bits = np.empty(max(m, n), np.float32)
     for i in range(len(all_bits)):
         all_bits[i] = limits.bits
+    total = np.empty(TOTAL_SUMS, np.float64)
     work = Work(
+        np.empty(12, np.float32),
         np.empty((target.covariances.shape[0], m), np.float32),
         target.packed.copy(),
         np.empty((1, m), np.float32),
@@ -171,10 +205,9 @@ def run_start(pose, start, source, hues, target, isotropic, world, limits, memor
         np.empty((1, target.group_spreads.shape[1]), np.float32),
         np.empty(target.packed.shape[1], np.float32),
         np.empty(m, np.float64),
+        total,
         all_bits,
     )
-    pose32 = np.empty(12, np.float32)
-    total = np.empty(TOTAL_SUMS, np.float64)
     delta, step = np.empty(TURN_AND_SHIFT, np.float64), np.empty(STATE, np.float64)
     sigma, unmatched = start[SIGMA], start[UNMATCHED]
     iteration, state, determined = 0, MOVING, True
@@ -182,10 +215,9 @@ def run_start(pose, start, source, hues, target, isotropic, world, limits, memor
         # The pass after the last step is for the likelihood; it has one place with the others to be called from, or the
         # loops over pairs would be compiled for each.
         ended = state != MOVING or iteration == int(start[ITERATIONS])
-        for i in range(12):
-            pose32[i] = pose[i]
+        kind = Kind(planar, limits.isotropic, ended)
         uniform = density_without_partner_compiled(world, sigma, unmatched)
-        one_pass(pose32, np.float32(sigma), uniform, source, hues, target, Kind(planar, isotropic, ended), work, total)
+        one_pass(pose, np.float32(sigma), uniform, source, hues, target, kind, work)
         if ended:
             break
         if not total[TOTAL_WEIGHT] > 0.0:
@@ -223,18 +255,12 @@ def _build(stamp):
     """The kernel that is called from Python; `stamp` keeps its cache fresh."""
 
     @njit(**SERIAL_KERNEL_FLAGS)
-    def run_em(poses, starts, source, hues, target, isotropic, world, limits, memories, ends, history):
-        """Run every start; `poses` (S, 12) move, `ends` (S, END_COLUMNS) tell where they came to.
-
-        hues : see `convolved_pass`.   isotropic : whether all covariances are multiples of the identity.   world : see
-        `update.density_without_partner`.   limits : `RunLimits`.   memories : (S, …) see `update.fresh_memory`; with
-        those of an end its run goes on as if it had not ended.   history : (S, most iterations, HISTORY_COLUMNS).
-        """
+    def run_em(runs, source, hues, target, limits):
+        """Run every start of `Runs` within `RunLimits`. source, target : `ScaledSource`, `ScaledTarget`.   hues : see
+        `convolved_pass`."""
         _ = stamp
-        for s in range(starts.shape[0]):
-            run_start(
-                poses[s], starts[s], source, hues, target, isotropic, world, limits, memories[s], ends[s], history[s]
-            )  # fmt: skip
+        for s in range(runs.starts.shape[0]):
+            run_start(s, runs, source, hues, target, limits)
 
     return run_em
 

@@ -4,7 +4,16 @@ import numpy as np
 from numba import njit, prange
 
 from adagmm_o3d.kernels.cpu.compiling import FAST, FLAGS, KERNEL_FLAGS, formulas, source_stamp
-from adagmm_o3d.kernels.cpu.culling import CLUSTER, CLUSTERS_PER_CHUNK, GROUP, TILE, closest_tile, cluster_box, gap_sq
+from adagmm_o3d.kernels.cpu.culling import (
+    CHUNK,
+    CLUSTER,
+    CLUSTERS_PER_CHUNK,
+    GROUP,
+    TILE,
+    closest_tile,
+    cluster_box,
+    gap_sq,
+)
 
 dot = formulas.dot
 
@@ -26,11 +35,12 @@ def _build(stamp):
     """The kernel that is called from Python; `stamp` keeps its cache fresh."""
 
     @njit(**KERNEL_FLAGS)
-    def nearest_sq(pose, points, x, tiles, chunk_lo, chunk_hi, nearest):
+    def nearest_sq(pose, points, x, tiles, nearest):
+        """`nearest` (M,) receives the distances of the points (3, M) at `pose` (12,) to those of `x` (3, N)."""
         _ = stamp
         box_lo, box_hi, _, _, group_lo, group_hi, _, _ = tiles
         count = box_lo.shape[1]
-        for chunk in prange(chunk_lo, chunk_hi):
+        for chunk in prange((points.shape[1] + CHUNK - 1) // CHUNK):
             y = np.empty((3, CLUSTER), np.float32)
             lo = np.empty(3, np.float32)
             hi = np.empty(3, np.float32)

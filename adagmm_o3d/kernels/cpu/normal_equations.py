@@ -10,9 +10,9 @@ from adagmm_o3d.kernels.layout import (
     HESSIAN,
     PRECISION,
     PULL,
+    TORQUE,
     TOTAL_ENERGY,
     TOTAL_WEIGHT,
-    TURN,
     WEIGHT,
 )
 
@@ -42,7 +42,7 @@ def add_rows(rows, count, amplitudes, y, total):
             amplitude * rows[PRECISION, k], amplitude * rows[PRECISION + 1, k], amplitude * rows[PRECISION + 2, k],
             amplitude * rows[PRECISION + 3, k], amplitude * rows[PRECISION + 4, k], amplitude * rows[PRECISION + 5, k],
             amplitude * rows[PULL, k], amplitude * rows[PULL + 1, k], amplitude * rows[PULL + 2, k],
-            amplitude * rows[TURN, k], amplitude * rows[TURN + 1, k], amplitude * rows[TURN + 2, k],
+            amplitude * rows[TORQUE, k], amplitude * rows[TORQUE + 1, k], amplitude * rows[TORQUE + 2, k],
         )  # fmt: skip
         h00 += a00
         h01 += a01

@@ -5,10 +5,13 @@ of one cloud with all of the other, so that memory stays that of the points.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
+from numpy.typing import NDArray
 
+from adagmm_o3d.arguments import Array
 from adagmm_o3d.kernels.cpu.compiling import FLAGS, KERNEL_FLAGS, formulas, source_stamp
 from adagmm_o3d.kernels.layout import CURVATURE, SCORE, SENSITIVITY
 
@@ -17,14 +20,52 @@ convolved_full = formulas.convolved_full
 capped_distance = formulas.capped_distance
 
 
-@njit(**FLAGS)
-def add_pair(y, x, a, b, planar, cut, weight, likeness, share, curved, inverse, slope, j, change, row):
-    """Add one pair to `row` (POINT_SUMS); `a`, `b` packed covariances, the rest work space.
+class ScoredPoints(NamedTuple):
+    """Points (n, 3), packed covariances (n, 6), largest variances and weights (n,). Those of the source are moved,
+    their covariances turned."""
 
-    weight : of the pair, per unit of c.   likeness : what its colours make of c, 1 without any.   share : of the other
-    point in the density at this one.   curved : whether
-    CURVATURE is wanted, which is the same sum for both clouds.
+    points: Array
+    covariances: Array
+    variances: Array
+    weights: Array
+
+
+class Reach(NamedTuple):
+    """Which pairs count: windows (2, K), the first point of the other cloud that each of K points looks at and the one
+    past the last; cut, the largest squared Mahalanobis distance."""
+
+    windows: NDArray[np.int64]
+    cut: float
+
+
+class Likelihood(NamedTuple):
+    """Of one pair: its weight, per unit of c; what its colours make of c, 1 without any; and the share of the other
+    point in the density at this one."""
+
+    weight: float
+    of_colours: float
+    share: float
+
+
+class Room(NamedTuple):
+    """Work space: S⁻¹ (3, 3), the slope of S⁻¹ d (3, 3), the gradient j (6,), and the change of the density (6,)."""
+
+    inverse: Array
+    slope: Array
+    j: Array
+    change: Array
+
+
+@njit(**FLAGS)
+def add_pair(source, target, planar, cut, likelihood, curved, room, row):
+    """Add one pair to `row` (POINT_SUMS); source and target are each a point (3,) and its packed covariance (6,).
+
+    likelihood, room : `Likelihood`, `Room`.   cut : see `Reach`.   curved : whether CURVATURE is wanted, which is the
+    same sum for both clouds.
     """
+    (y, b), (x, a) = source, target
+    weight, likeness, share = likelihood
+    inverse, slope, j, change = room
     dx, dy, dz = y[0] - x[0], y[1] - x[1], y[2] - x[2]
     s5 = 1.0 if planar else a[5] + b[5]
     height, scale, q, vx, vy, vz, c0, c1, c2, c3, c4, c5 = convolved_full(
@@ -88,26 +129,23 @@ def _build(stamp):
     """The kernel that is called from Python; `stamp` keeps its cache fresh."""
 
     @njit(**KERNEL_FLAGS)
-    def score_sums(own, other, shares, windows, own_is_source, planar, cut, sums, hues=None):
+    def score_sums(own, other, shares, within, own_is_source, planar, sums, hues=None):
         """Fill `sums` (K, POINT_SUMS) for the K points of `own` with all points of `other`; for target points only the
         scores and sensitivities.
 
-        own, other : (points (n, 3), packed covariances (n, 6), largest variances (n,), weights (n,)); a pair weighs the
-        product of both weights and of c. Source points are moved, their covariances turned.
+        own, other : `ScoredPoints`; a pair weighs the product of both weights and of c.   within : `Reach`.
         shares : (n,) what a point of `other` adds to a density, per unit of c.
-        windows : (2, K) the first point of `other` to look at and the one past the last.
-        cut : largest squared Mahalanobis distance of a pair.
         hues : colours of both (K, 3) and (n, 3) of which the squared difference is an exponent, where it is capped, and
         the mean of the exponential over unrelated pairs, see `mixtures.colours`; None where they do not count.
         """
         _ = stamp
         points, covariances, variances, weights = own
         others, other_covariances, other_variances, other_weights = other
+        windows, cut = within
         for i in prange(points.shape[0]):
             row = sums[i]
             row[:] = 0.0
-            inverse, slope = np.empty((3, 3)), np.empty((3, 3))
-            j, change = np.empty(6), np.empty(6)
+            room = Room(np.empty((3, 3)), np.empty((3, 3)), np.empty(6), np.empty(6))
             p = points[i]
             for k in range(windows[0, i], windows[1, i]):
                 x = others[k]
@@ -119,16 +157,12 @@ def _build(stamp):
                 if hues is not None:
                     h, o = hues[0][i], hues[1][k]
                     likeness = math.exp(-capped_distance(h[0], h[1], h[2], o[0], o[1], o[2], hues[2])) / hues[3]
+                likelihood = Likelihood(weight, likeness, shares[k])
+                this, that = (p, covariances[i]), (x, other_covariances[k])
                 if own_is_source:
-                    add_pair(
-                        p, x, other_covariances[k], covariances[i],
-                        planar, cut, weight, likeness, shares[k], True, inverse, slope, j, change, row,
-                    )  # fmt: skip
+                    add_pair(this, that, planar, cut, likelihood, True, room, row)
                 else:
-                    add_pair(
-                        x, p, covariances[i], other_covariances[k],
-                        planar, cut, weight, likeness, shares[k], False, inverse, slope, j, change, row,
-                    )  # fmt: skip
+                    add_pair(that, this, planar, cut, likelihood, False, room, row)
 
     return score_sums
 

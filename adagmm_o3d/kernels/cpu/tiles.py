@@ -15,7 +15,7 @@ Float32 = NDArray[np.float32]
 SPREAD_BITS = np.array([sum((n >> bit & 1) << 3 * bit for bit in range(10)) for n in range(1024)], np.uint32)
 
 
-class Boxes(NamedTuple):
+class Corners(NamedTuple):
     """Bounding boxes by their corners, (3, count): of each tile of TILE points, and of each group of GROUP tiles."""
 
     lo: Float32
@@ -43,15 +43,15 @@ class Tiles(NamedTuple):
 
 def make_tiles(points: Float32, variances: Float32, bits: Float32) -> Tiles:
     """The tiles of (3, n) ordered points, given the variances and bits of each, (n,); see `culling.reach_sq`."""
-    boxes = make_boxes(points)
+    boxes = find_corners(points)
     (variance, most), (group_variance, group_most) = maxima(np.stack([variances, bits]))
     return Tiles(boxes.lo, boxes.hi, variance, most, boxes.group_lo, boxes.group_hi, group_variance, group_most)
 
 
-def make_boxes(points: Float32) -> Boxes:
-    """The boxes of (3, n) ordered points."""
+def find_corners(points: Float32) -> Corners:
+    """The boxes that (3, n) ordered points lie in."""
     lo, hi = _reduce(np.minimum, points, TILE), _reduce(np.maximum, points, TILE)
-    return Boxes(lo, hi, _reduce(np.minimum, lo, GROUP), _reduce(np.maximum, hi, GROUP))
+    return Corners(lo, hi, _reduce(np.minimum, lo, GROUP), _reduce(np.maximum, hi, GROUP))
 
 
 def maxima(values: Float32) -> tuple[Float32, Float32]:

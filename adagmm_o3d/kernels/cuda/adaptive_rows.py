@@ -3,12 +3,12 @@
 from numba import float32, int32
 
 from adagmm_o3d.kernels.cuda.front_end import F0, F1, TILE, cuda, fast, fast_kernel, formulas, source_stamp
-from adagmm_o3d.kernels.cuda.tiles import is_near
+from adagmm_o3d.kernels.cuda.tiles import is_near, isotropic_matrix_of, packed_matrix_of, point_of
 from adagmm_o3d.kernels.layout import FACTOR, ISOTROPIC_FACTOR, MATRIX, SHARE, X
 
 adaptive_full, adaptive_isotropic, dot = formulas.adaptive_full, formulas.adaptive_isotropic, formulas.dot
 
-# Sums of a source point: layout.WEIGHT to TURN.
+# Sums of a source point: layout.WEIGHT to TORQUE.
 ROWS = 14
 # Tiles summed in float32 before float64 takes over.
 FLUSH = 4
@@ -17,15 +17,15 @@ NOTHING = (0.0,) * ROWS
 
 
 @fast
-def pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, s):
-    """The sums `s` of a source point and target point j of the tile `x` added."""
-    dx = y0 - x[j, X]
-    dy = y1 - x[j, X + 1]
-    dz = y2 - x[j, X + 2]
+def pair_anisotropic(x, j, y, b, s):
+    """The sums `s` of source point y (3), its packed precision b (6), and target point j of the tile `x` added."""
+    dx = y[0] - x[j, X]
+    dy = y[1] - x[j, X + 1]
+    dz = y[2] - x[j, X + 2]
     a0, a1, a2 = x[j, MATRIX], x[j, MATRIX + 1], x[j, MATRIX + 2]
     a3, a4, a5 = x[j, MATRIX + 3], x[j, MATRIX + 4], x[j, MATRIX + 5]
     c, q, ux, uy, uz, tx, ty, tz = adaptive_full(
-        x[j, SHARE], dx, dy, dz, a0, a1, a2, a3, a4, a5, b0, b1, b2, b3, b4, b5
+        x[j, SHARE], dx, dy, dz, a0, a1, a2, a3, a4, a5, b[0], b[1], b[2], b[3], b[4], b[5]
     )
     return (
         s[0] + c,
@@ -46,11 +46,11 @@ def pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, s):
 
 
 @fast
-def pair_isotropic(x, j, y0, y1, y2, b, s):
+def pair_isotropic(x, j, y, b, s):
     """The same where every precision is a multiple of the identity: nothing turns, three directions share one sum."""
-    dx = y0 - x[j, X]
-    dy = y1 - x[j, X + 1]
-    dz = y2 - x[j, X + 2]
+    dx = y[0] - x[j, X]
+    dy = y[1] - x[j, X + 1]
+    dz = y[2] - x[j, X + 2]
     a = x[j, MATRIX]
     d2 = dot(dx, dy, dz, dx, dy, dz)
     c = adaptive_isotropic(x[j, SHARE], d2, a, b)
@@ -83,6 +83,7 @@ def added(total, s):
 def _build(isotropic, stamp):
     """The kernel for one kind of matrices; `stamp` keeps its cache fresh."""
     components = ISOTROPIC_FACTOR if isotropic else FACTOR  # a tile ends where a factor would be
+    matrix_of = isotropic_matrix_of if isotropic else packed_matrix_of
     width = 8 if isotropic else 12  # whole 16-byte words, which the compiler then loads at once
 
     @fast_kernel
@@ -100,13 +101,7 @@ def _build(isotropic, stamp):
         share = cuda.blockIdx.y
         shares = cuda.gridDim.y
         count = target.shape[0]
-        y0, y1, y2 = moved[own, 0, t], moved[own, 1, t], moved[own, 2, t]
-        b0 = moved[own, MATRIX, t]
-        if isotropic:
-            b1 = b2 = b3 = b4 = b5 = F0
-        else:
-            b1, b2, b3 = moved[own, MATRIX + 1, t], moved[own, MATRIX + 2, t], moved[own, MATRIX + 3, t]
-            b4, b5 = moved[own, MATRIX + 4, t], moved[own, MATRIX + 5, t]
+        y, b = point_of(moved, own, t), matrix_of(moved, own, t, F1)
         total = NOTHING
         s = NONE
         pending = 0
@@ -128,15 +123,15 @@ def _build(isotropic, stamp):
                 cuda.syncthreads()
                 for j in range(0, TILE, 4):
                     if isotropic:
-                        s = pair_isotropic(x, j, y0, y1, y2, b0, s)
-                        s = pair_isotropic(x, j + 1, y0, y1, y2, b0, s)
-                        s = pair_isotropic(x, j + 2, y0, y1, y2, b0, s)
-                        s = pair_isotropic(x, j + 3, y0, y1, y2, b0, s)
+                        s = pair_isotropic(x, j, y, b, s)
+                        s = pair_isotropic(x, j + 1, y, b, s)
+                        s = pair_isotropic(x, j + 2, y, b, s)
+                        s = pair_isotropic(x, j + 3, y, b, s)
                     else:
-                        s = pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, s)
-                        s = pair_anisotropic(x, j + 1, y0, y1, y2, b0, b1, b2, b3, b4, b5, s)
-                        s = pair_anisotropic(x, j + 2, y0, y1, y2, b0, b1, b2, b3, b4, b5, s)
-                        s = pair_anisotropic(x, j + 3, y0, y1, y2, b0, b1, b2, b3, b4, b5, s)
+                        s = pair_anisotropic(x, j, y, b, s)
+                        s = pair_anisotropic(x, j + 1, y, b, s)
+                        s = pair_anisotropic(x, j + 2, y, b, s)
+                        s = pair_anisotropic(x, j + 3, y, b, s)
                 pending += 1
                 if pending == FLUSH:
                     total = added(total, s)

@@ -18,7 +18,7 @@ from adagmm_o3d.kernels.cuda.front_end import (
     formulas,
     source_stamp,
 )
-from adagmm_o3d.kernels.cuda.tiles import is_near
+from adagmm_o3d.kernels.cuda.tiles import is_near, isotropic_matrix_of, packed_matrix_of, point_of
 from adagmm_o3d.kernels.layout import FACTOR, HUE, ISOTROPIC_FACTOR, ISOTROPIC_HUE, MATRIX, SHARE, X
 
 convolved_full, convolved_isotropic = formulas.convolved_full, formulas.convolved_isotropic
@@ -28,39 +28,40 @@ FLUSH = 4
 
 
 @fast
-def density_anisotropic(y, j, x0, x1, x2, a0, a1, a2, a3, a4, a5, unlike):
-    """What source point j of the tile `y` adds to the density at a target point; `unlike` is the capped distance of
-    their colours, or zero."""
-    dx = y[j, X] - x0
-    dy = y[j, X + 1] - x1
-    dz = y[j, X + 2] - x2
+def density_anisotropic(y, j, x, a, unlike):
+    """What source point j of the tile `y` adds to the density at target point x (3), its packed covariance a (6);
+    `unlike` is the capped distance of their colours, or zero."""
+    dx = y[j, X] - x[0]
+    dy = y[j, X + 1] - x[1]
+    dz = y[j, X + 2] - x[2]
     height, _, q, _, _, _, _, _, _, _, _, _ = convolved_full(
         y[j, SHARE],
         dx,
         dy,
         dz,
-        y[j, MATRIX] + a0,
-        y[j, MATRIX + 1] + a1,
-        y[j, MATRIX + 2] + a2,
-        y[j, MATRIX + 3] + a3,
-        y[j, MATRIX + 4] + a4,
-        y[j, MATRIX + 5] + a5,
+        y[j, MATRIX] + a[0],
+        y[j, MATRIX + 1] + a[1],
+        y[j, MATRIX + 2] + a[2],
+        y[j, MATRIX + 3] + a[3],
+        y[j, MATRIX + 4] + a[4],
+        y[j, MATRIX + 5] + a[5],
     )
     return height * math.exp2(-(q + unlike))
 
 
 @fast
-def density_isotropic(y, j, x0, x1, x2, a, planar, unlike):
+def density_isotropic(y, j, x, a, planar, unlike):
     """The same where every covariance is a multiple of the identity."""
-    dx = y[j, X] - x0
-    dy = y[j, X + 1] - x1
-    dz = y[j, X + 2] - x2
+    dx = y[j, X] - x[0]
+    dy = y[j, X + 1] - x[1]
+    dz = y[j, X + 2] - x[2]
     height, _, q = convolved_isotropic(y[j, SHARE], dx, dy, dz, y[j, MATRIX] + a, planar)
     return height * math.exp2(-(q + unlike))
 
 
 def _build(isotropic, coloured, stamp):
     """The kernel for one kind of matrices, with colours or without; `stamp` keeps its cache fresh."""
+    matrix_of = isotropic_matrix_of if isotropic else packed_matrix_of
     # A tile ends where a factor would be.
     components, hue = (ISOTROPIC_FACTOR, ISOTROPIC_HUE) if isotropic else (FACTOR, HUE)
     # Whole 16-byte words, which the compiler then loads at once.
@@ -81,14 +82,7 @@ def _build(isotropic, coloured, stamp):
         share = cuda.blockIdx.y
         shares = cuda.gridDim.y
         count = moved.shape[0]
-        x0, x1, x2 = target[own, 0, t], target[own, 1, t], target[own, 2, t]
-        a0 = target[own, MATRIX, t] * sigma
-        if isotropic:
-            a1 = a2 = a3 = a4 = a5 = F0
-        else:
-            a1, a2 = target[own, MATRIX + 1, t] * sigma, target[own, MATRIX + 2, t] * sigma
-            a3, a4 = target[own, MATRIX + 3, t] * sigma, target[own, MATRIX + 4, t] * sigma
-            a5 = target[own, MATRIX + 5, t] * sigma
+        x, a = point_of(target, own, t), matrix_of(target, own, t, sigma)
         if coloured:
             h0, h1, h2 = target_hues[own, 0, t], target_hues[own, 1, t], target_hues[own, 2, t]
         else:
@@ -119,22 +113,22 @@ def _build(isotropic, coloured, stamp):
                 for j in range(0, TILE, 4):
                     if isotropic:
                         unlike = unlike_at(y, j, hue, h0, h1, h2, cap) if coloured else F0
-                        s += density_isotropic(y, j, x0, x1, x2, a0, planar, unlike)
+                        s += density_isotropic(y, j, x, a, planar, unlike)
                         unlike = unlike_at(y, j + 1, hue, h0, h1, h2, cap) if coloured else F0
-                        s += density_isotropic(y, j + 1, x0, x1, x2, a0, planar, unlike)
+                        s += density_isotropic(y, j + 1, x, a, planar, unlike)
                         unlike = unlike_at(y, j + 2, hue, h0, h1, h2, cap) if coloured else F0
-                        s += density_isotropic(y, j + 2, x0, x1, x2, a0, planar, unlike)
+                        s += density_isotropic(y, j + 2, x, a, planar, unlike)
                         unlike = unlike_at(y, j + 3, hue, h0, h1, h2, cap) if coloured else F0
-                        s += density_isotropic(y, j + 3, x0, x1, x2, a0, planar, unlike)
+                        s += density_isotropic(y, j + 3, x, a, planar, unlike)
                     else:
                         unlike = unlike_at(y, j, hue, h0, h1, h2, cap) if coloured else F0
-                        s += density_anisotropic(y, j, x0, x1, x2, a0, a1, a2, a3, a4, a5, unlike)
+                        s += density_anisotropic(y, j, x, a, unlike)
                         unlike = unlike_at(y, j + 1, hue, h0, h1, h2, cap) if coloured else F0
-                        s += density_anisotropic(y, j + 1, x0, x1, x2, a0, a1, a2, a3, a4, a5, unlike)
+                        s += density_anisotropic(y, j + 1, x, a, unlike)
                         unlike = unlike_at(y, j + 2, hue, h0, h1, h2, cap) if coloured else F0
-                        s += density_anisotropic(y, j + 2, x0, x1, x2, a0, a1, a2, a3, a4, a5, unlike)
+                        s += density_anisotropic(y, j + 2, x, a, unlike)
                         unlike = unlike_at(y, j + 3, hue, h0, h1, h2, cap) if coloured else F0
-                        s += density_anisotropic(y, j + 3, x0, x1, x2, a0, a1, a2, a3, a4, a5, unlike)
+                        s += density_anisotropic(y, j + 3, x, a, unlike)
                 pending += 1
                 if pending == FLUSH:
                     total += s

@@ -14,7 +14,7 @@ from adagmm_o3d.kernels.cuda.front_end import (
     formulas,
     source_stamp,
 )
-from adagmm_o3d.kernels.cuda.tiles import is_near
+from adagmm_o3d.kernels.cuda.tiles import is_near, isotropic_matrix_of, packed_matrix_of, point_of
 from adagmm_o3d.kernels.layout import FACTOR, HUE, ISOTROPIC_FACTOR, ISOTROPIC_HUE, MATRIX, SHARE, X
 
 convolved_full, convolved_isotropic = formulas.convolved_full, formulas.convolved_isotropic
@@ -30,23 +30,23 @@ NOTHING = (0.0,) * ROWS
 
 
 @fast
-def pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, unlike, s):
-    """The sums `s` of a source point with target point j of the tile `x` added; `unlike` is the capped distance of
-    their colours, or zero."""
-    dx = y0 - x[j, X]
-    dy = y1 - x[j, X + 1]
-    dz = y2 - x[j, X + 2]
+def pair_anisotropic(x, j, y, b, unlike, s):
+    """The sums `s` of the source point y (3) with the packed covariance b (6) and target point j of the tile `x` added;
+    `unlike` is the capped distance of their colours, or zero."""
+    dx = y[0] - x[j, X]
+    dy = y[1] - x[j, X + 1]
+    dz = y[2] - x[j, X + 2]
     height, inverse, q, vx, vy, vz, c0, c1, c2, c3, c4, c5 = convolved_full(
         x[j, SHARE],
         dx,
         dy,
         dz,
-        x[j, MATRIX] + b0,
-        x[j, MATRIX + 1] + b1,
-        x[j, MATRIX + 2] + b2,
-        x[j, MATRIX + 3] + b3,
-        x[j, MATRIX + 4] + b4,
-        x[j, MATRIX + 5] + b5,
+        x[j, MATRIX] + b[0],
+        x[j, MATRIX + 1] + b[1],
+        x[j, MATRIX + 2] + b[2],
+        x[j, MATRIX + 3] + b[3],
+        x[j, MATRIX + 4] + b[4],
+        x[j, MATRIX + 5] + b[5],
     )
     g = height * math.exp2(-(q + unlike))
     c = g * x[j, FACTOR]
@@ -68,11 +68,11 @@ def pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, unlike, s):
 
 
 @fast
-def pair_isotropic(x, j, y0, y1, y2, b, planar, unlike, s):
+def pair_isotropic(x, j, y, b, planar, unlike, s):
     """The same where every covariance is a multiple of the identity."""
-    dx = y0 - x[j, X]
-    dy = y1 - x[j, X + 1]
-    dz = y2 - x[j, X + 2]
+    dx = y[0] - x[j, X]
+    dy = y[1] - x[j, X + 1]
+    dz = y[2] - x[j, X + 2]
     height, precision, q = convolved_isotropic(x[j, SHARE], dx, dy, dz, x[j, MATRIX] + b, planar)
     g = height * math.exp2(-(q + unlike))
     c = g * x[j, ISOTROPIC_FACTOR]
@@ -114,6 +114,7 @@ def column_factor(density, uniform, mutuality):
 
 def _build(isotropic, coloured, stamp):
     """The kernel for one kind of matrices, with colours or without; `stamp` keeps its cache fresh."""
+    matrix_of = isotropic_matrix_of if isotropic else packed_matrix_of
     factor, hue = (ISOTROPIC_FACTOR, ISOTROPIC_HUE) if isotropic else (FACTOR, HUE)
     # Whole 16-byte words, which the compiler then loads at once.
     width = 4 * -(-(hue + (3 if coloured else 0)) // 4)
@@ -137,13 +138,7 @@ def _build(isotropic, coloured, stamp):
         share = cuda.blockIdx.y
         shares = cuda.gridDim.y
         count = target.shape[0]
-        y0, y1, y2 = moved[own, 0, t], moved[own, 1, t], moved[own, 2, t]
-        b0 = moved[own, MATRIX, t]
-        if isotropic:
-            b1 = b2 = b3 = b4 = b5 = F0
-        else:
-            b1, b2, b3 = moved[own, MATRIX + 1, t], moved[own, MATRIX + 2, t], moved[own, MATRIX + 3, t]
-            b4, b5 = moved[own, MATRIX + 4, t], moved[own, MATRIX + 5, t]
+        y, b = point_of(moved, own, t), matrix_of(moved, own, t, F1)
         if coloured:
             h0, h1, h2 = hues[own, 0, t], hues[own, 1, t], hues[own, 2, t]
         else:
@@ -175,22 +170,22 @@ def _build(isotropic, coloured, stamp):
                 for j in range(0, TILE, 4):
                     if isotropic:
                         unlike = unlike_at(x, j, hue, h0, h1, h2, cap) if coloured else F0
-                        s = pair_isotropic(x, j, y0, y1, y2, b0, planar, unlike, s)
+                        s = pair_isotropic(x, j, y, b, planar, unlike, s)
                         unlike = unlike_at(x, j + 1, hue, h0, h1, h2, cap) if coloured else F0
-                        s = pair_isotropic(x, j + 1, y0, y1, y2, b0, planar, unlike, s)
+                        s = pair_isotropic(x, j + 1, y, b, planar, unlike, s)
                         unlike = unlike_at(x, j + 2, hue, h0, h1, h2, cap) if coloured else F0
-                        s = pair_isotropic(x, j + 2, y0, y1, y2, b0, planar, unlike, s)
+                        s = pair_isotropic(x, j + 2, y, b, planar, unlike, s)
                         unlike = unlike_at(x, j + 3, hue, h0, h1, h2, cap) if coloured else F0
-                        s = pair_isotropic(x, j + 3, y0, y1, y2, b0, planar, unlike, s)
+                        s = pair_isotropic(x, j + 3, y, b, planar, unlike, s)
                     else:
                         unlike = unlike_at(x, j, hue, h0, h1, h2, cap) if coloured else F0
-                        s = pair_anisotropic(x, j, y0, y1, y2, b0, b1, b2, b3, b4, b5, unlike, s)
+                        s = pair_anisotropic(x, j, y, b, unlike, s)
                         unlike = unlike_at(x, j + 1, hue, h0, h1, h2, cap) if coloured else F0
-                        s = pair_anisotropic(x, j + 1, y0, y1, y2, b0, b1, b2, b3, b4, b5, unlike, s)
+                        s = pair_anisotropic(x, j + 1, y, b, unlike, s)
                         unlike = unlike_at(x, j + 2, hue, h0, h1, h2, cap) if coloured else F0
-                        s = pair_anisotropic(x, j + 2, y0, y1, y2, b0, b1, b2, b3, b4, b5, unlike, s)
+                        s = pair_anisotropic(x, j + 2, y, b, unlike, s)
                         unlike = unlike_at(x, j + 3, hue, h0, h1, h2, cap) if coloured else F0
-                        s = pair_anisotropic(x, j + 3, y0, y1, y2, b0, b1, b2, b3, b4, b5, unlike, s)
+                        s = pair_anisotropic(x, j + 3, y, b, unlike, s)
                 pending += 1
                 if pending == FLUSH:
                     total = added(total, s)

@@ -55,7 +55,8 @@ def _kept() -> bool:
 
 
 def kernel(function):
-    """A function that is launched; kept on disk once it is compiled."""
+    """A function that is launched; kept on disk once it is compiled. A launch hands over arrays and numbers one by one,
+    however many they are."""
     return cuda.jit(function) if simulated() else cuda.jit(cache=_kept())(function)
 
 

@@ -15,8 +15,8 @@ from adagmm_o3d.kernels.cuda.front_end import cuda
 class Held:
     """(n,) float64 on the device in the kernels' order; on the host it is in the mixture's order.
 
-    The buffers are used in turn. One that is needed again while its vector is still alive is read first, so a vector
-    never changes.
+    There are two buffers, see `Buffers`. One that is needed again while its vector is still alive is read first, so a
+    vector never changes.
     """
 
     def __init__(self, buffer: Any, restore: Callable[[Array], Array], size: int) -> None:
@@ -36,8 +36,8 @@ class Held:
         self.buffer = None
 
 
-class Turn:
-    """Two buffers used in turn: the vector of one pass outlives the next."""
+class Buffers:
+    """Two that passes fill by turns: the vector of one pass outlives the next."""
 
     def __init__(self, length: int, restore: Callable[[Array], Array], size: int) -> None:
         self._buffers = [cuda.device_array(length, np.float64) for _ in range(2)]

@@ -15,11 +15,11 @@ from adagmm_o3d.kernels.layout import (
     MATRIX,
     PRECISION,
     PULL,
+    TORQUE,
     TOTAL_ENERGY,
     TOTAL_MATCHED,
     TOTAL_SUMS,
     TOTAL_WEIGHT,
-    TURN,
     WEIGHT,
 )
 
@@ -159,9 +159,9 @@ def _build_adaptive(isotropic, stamp):
             amplitude * s[PULL],
             amplitude * s[PULL + 1],
             amplitude * s[PULL + 2],
-            amplitude * s[TURN],
-            amplitude * s[TURN + 1],
-            amplitude * s[TURN + 2],
+            amplitude * s[TORQUE],
+            amplitude * s[TORQUE + 1],
+            amplitude * s[TORQUE + 2],
         )
         store_normal_equations(sums, t, terms)
         sums[TOTAL_WEIGHT, t] = w

@@ -12,8 +12,7 @@ from numba import float64, int32
 from adagmm_o3d.kernels import layout
 from adagmm_o3d.kernels.cuda.front_end import F0, F1, TILE, cuda, fast, fast_kernel, formulas, source_stamp
 from adagmm_o3d.kernels.cuda.reductions import PADDED, reduce_tile
-from adagmm_o3d.kernels.cuda.tiles import BOX_VARIANCE
-from adagmm_o3d.kernels.layout import MATRIX
+from adagmm_o3d.kernels.cuda.tiles import BOX_VARIANCE, isotropic_matrix_of, packed_matrix_of, point_of
 
 symmetric_product, dot, cross = formulas.symmetric_product, formulas.dot, formulas.cross
 convolved_full = formulas.convolved_full
@@ -40,35 +39,41 @@ def unfolded(sums):
 
 
 @fast
-def geometry(d0, d1, d2, s0, s1, s2, s3, s4, s5, cut):
-    """The precision of a pair with offset d and covariance S, S⁻¹ d, and its density, 0 beyond the cut."""
-    height, inverse, q, v0, v1, v2, c0, c1, c2, c3, c4, c5 = convolved_full(F1, d0, d1, d2, s0, s1, s2, s3, s4, s5)
-    c0, c1, c2, c3, c4, c5 = c0 * inverse, c1 * inverse, c2 * inverse, c3 * inverse, c4 * inverse, c5 * inverse
-    v0, v1, v2 = v0 * inverse, v1 * inverse, v2 * inverse
+def geometry(d, a, b, cut):
+    """Of a pair with offset d (3) and packed covariances a and b (6), S their sum: S⁻¹ (6), S⁻¹ d (3), and its density,
+    0 beyond the cut."""
+    height, inverse, q, v0, v1, v2, c0, c1, c2, c3, c4, c5 = convolved_full(
+        F1, d[0], d[1], d[2],
+        a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5],
+    )  # fmt: skip
+    precision = c0 * inverse, c1 * inverse, c2 * inverse, c3 * inverse, c4 * inverse, c5 * inverse
     density = F0 if q > cut else height * math.exp(-HALF * q)
-    return c0, c1, c2, c3, c4, c5, v0, v1, v2, density
+    return precision, (v0 * inverse, v1 * inverse, v2 * inverse), density
 
 
 @fast
-def turning(y0, y1, y2, b0, b1, b2, b3, b4, b5, c0, c1, c2, c3, c4, c5, v0, v1, v2):
-    """y x v, and that with what the turn of B adds: -∂(log density)/∂ω; and B v."""
+def turning(y, b, c, v):
+    """y x v (3), and that with what the turn of B adds, -∂(log density)/∂ω (3); and B v (3)."""
+    b0, b1, b2, b3, b4, b5 = b
+    c0, c1, c2, c3, c4, c5 = c
+    v0, v1, v2 = v
     p0, p1, p2 = symmetric_product(b0, b1, b2, b3, b4, b5, v0, v1, v2)
     t0, t1, t2 = cross(p0, p1, p2, v0, v1, v2)
-    j0, j1, j2 = cross(y0, y1, y2, v0, v1, v2)
+    j0, j1, j2 = cross(y[0], y[1], y[2], v0, v1, v2)
     # B S⁻¹, column by column
     _, f10, f20 = symmetric_product(b0, b1, b2, b3, b4, b5, c0, c1, c2)
     f01, _, f21 = symmetric_product(b0, b1, b2, b3, b4, b5, c1, c3, c4)
     f02, f12, _ = symmetric_product(b0, b1, b2, b3, b4, b5, c2, c4, c5)
-    return j0, j1, j2, j0 + f12 - f21 - t0, j1 + f20 - f02 - t1, j2 + f01 - f10 - t2, p0, p1, p2
+    return (j0, j1, j2), (j0 + f12 - f21 - t0, j1 + f20 - f02 - t1, j2 + f01 - f10 - t2), (p0, p1, p2)
 
 
 @fast
-def scored(y0, y1, y2, d0, d1, d2, a0, a1, a2, a3, a4, a5, b0, b1, b2, b3, b4, b5, cut, weight, share, s):
-    """The sums `s` of a point with a pair added: source point y with covariance B, offset d, target covariance A."""
-    c0, c1, c2, c3, c4, c5, v0, v1, v2, density = geometry(
-        d0, d1, d2, a0 + b0, a1 + b1, a2 + b2, a3 + b3, a4 + b4, a5 + b5, cut
-    )
-    j0, j1, j2, g0, g1, g2, _, _, _ = turning(y0, y1, y2, b0, b1, b2, b3, b4, b5, c0, c1, c2, c3, c4, c5, v0, v1, v2)
+def scored(y, d, a, b, cut, weight, share, s):
+    """The sums `s` of a point with a pair added: source point y (3) with covariance b (6, packed), offset d (3), target
+    covariance a (6)."""
+    c, v, density = geometry(d, a, b, cut)
+    (j0, j1, j2), (g0, g1, g2), _ = turning(y, b, c, v)
+    v0, v1, v2 = v
     w, e = weight * density, share * density
     return (
         s[0] + w * j0,
@@ -87,12 +92,14 @@ def scored(y0, y1, y2, d0, d1, d2, a0, a1, a2, a3, a4, a5, b0, b1, b2, b3, b4, b
 
 
 @fast
-def curved(y0, y1, y2, d0, d1, d2, a0, a1, a2, a3, a4, a5, b0, b1, b2, b3, b4, b5, cut, weight, share, s):
+def curved(y, d, a, b, cut, weight, share, s):
     """The same with the curvature."""
-    c0, c1, c2, c3, c4, c5, v0, v1, v2, density = geometry(
-        d0, d1, d2, a0 + b0, a1 + b1, a2 + b2, a3 + b3, a4 + b4, a5 + b5, cut
-    )
-    j0, j1, j2, g0, g1, g2, p0, p1, p2 = turning(y0, y1, y2, b0, b1, b2, b3, b4, b5, c0, c1, c2, c3, c4, c5, v0, v1, v2)
+    c, v, density = geometry(d, a, b, cut)
+    (j0, j1, j2), (g0, g1, g2), (p0, p1, p2) = turning(y, b, c, v)
+    y0, y1, y2 = y
+    v0, v1, v2 = v
+    b0, b1, b2, b3, b4, b5 = b
+    c0, c1, c2, c3, c4, c5 = c
     w, e = weight * density, share * density
     # S ∂(S⁻¹ d)/∂ω is -[y - B v]ₓ - B [v]ₓ; h is S⁻¹ times that, column by column, and r what it does to y x v.
     x0, x1, x2 = p0 - y0, p1 - y1, p2 - y2
@@ -179,8 +186,8 @@ def _build(of_source, isotropic, stamp):
         block = cuda.shared.array((count_of_sums, PADDED), float64)
         t = cuda.threadIdx.x
         k = cuda.blockIdx.x
-        p0, p1, p2 = own[0, k], own[1, k], own[2, k]
-        q0, q1, q2, q3, q4, q5 = own[3, k], own[4, k], own[5, k], own[6, k], own[7, k], own[8, k]
+        p = own[0, k], own[1, k], own[2, k]
+        q = own[3, k], own[4, k], own[5, k], own[6, k], own[7, k], own[8, k]
         count = other.shape[0]
         s = NOTHING if of_source else NONE
         for first in range(0, count, TILE):
@@ -196,26 +203,17 @@ def _build(of_source, isotropic, stamp):
                 if near[i] == 0:
                     continue
                 tile = first + i
-                x0, x1, x2 = other[tile, 0, t], other[tile, 1, t], other[tile, 2, t]
-                m0 = other[tile, MATRIX, t] * scale
+                x = point_of(other, tile, t)
                 if isotropic:
-                    m1 = m2 = m4 = F0
-                    m3 = m5 = m0
+                    m0 = isotropic_matrix_of(other, tile, t, scale)
+                    m = m0, F0, F0, m0, F0, m0
                 else:
-                    m1, m2 = other[tile, MATRIX + 1, t] * scale, other[tile, MATRIX + 2, t] * scale
-                    m3, m4 = other[tile, MATRIX + 3, t] * scale, other[tile, MATRIX + 4, t] * scale
-                    m5 = other[tile, MATRIX + 5, t] * scale
+                    m = packed_matrix_of(other, tile, t, scale)
                 weight, share = weights[tile, t], shares[tile, t]
                 if of_source:
-                    s = curved(
-                        p0, p1, p2, p0 - x0, p1 - x1, p2 - x2, m0, m1, m2, m3, m4, m5, q0, q1, q2, q3, q4, q5,
-                        cut, weight, share, s,
-                    )  # fmt: skip
+                    s = curved(p, (p[0] - x[0], p[1] - x[1], p[2] - x[2]), m, q, cut, weight, share, s)
                 else:
-                    s = scored(
-                        x0, x1, x2, x0 - p0, x1 - p1, x2 - p2, q0, q1, q2, q3, q4, q5, m0, m1, m2, m3, m4, m5,
-                        cut, weight, share, s,
-                    )  # fmt: skip
+                    s = scored(x, (x[0] - p[0], x[1] - p[1], x[2] - p[2]), q, m, cut, weight, share, s)
             cuda.syncthreads()
         block[0, t] = s[0]
         block[1, t] = s[1]

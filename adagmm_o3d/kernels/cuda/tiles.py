@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from adagmm_o3d.kernels.cpu import culling
 from adagmm_o3d.kernels.cuda.front_end import F0, TILE, exact
-from adagmm_o3d.kernels.layout import SHARE
+from adagmm_o3d.kernels.layout import MATRIX, SHARE, X
 
 BOX_VARIANCE, BOX_BITS = 6, 7
 
@@ -36,6 +36,31 @@ def is_near(convolved, a, i, a_sigma, b, j, b_sigma):
         convolved, a_sigma * a[i, BOX_VARIANCE], a[i, BOX_BITS], b_sigma * b[j, BOX_VARIANCE], b[j, BOX_BITS]
     )
     return gap_sq(a, i, b, j) < limit
+
+
+@exact
+def point_of(tiles, tile, t):
+    """Where point t of a tile lies, (3)."""
+    return tiles[tile, X, t], tiles[tile, X + 1, t], tiles[tile, X + 2, t]
+
+
+@exact
+def packed_matrix_of(tiles, tile, t, scale):
+    """Its packed matrix times `scale`, (6)."""
+    return (
+        tiles[tile, MATRIX, t] * scale,
+        tiles[tile, MATRIX + 1, t] * scale,
+        tiles[tile, MATRIX + 2, t] * scale,
+        tiles[tile, MATRIX + 3, t] * scale,
+        tiles[tile, MATRIX + 4, t] * scale,
+        tiles[tile, MATRIX + 5, t] * scale,
+    )
+
+
+@exact
+def isotropic_matrix_of(tiles, tile, t, scale):
+    """Its one diagonal entry times `scale`, where every matrix is a multiple of the identity."""
+    return tiles[tile, MATRIX, t] * scale
 
 
 @exact

@@ -53,13 +53,13 @@ COUNTED_MATH = SimpleNamespace(exp2=Counted.exp2, sqrt=Counted.sqrt)
 MATRIX = [Counted(v) for v in (2.0, 0.1, 0.2, 1.5, 0.3, 1.0)]
 Y = [Counted(v) for v in (0.1, 0.2, 0.3)]
 ROWS = {
-    "adaptive": (adaptive_rows, "pair_anisotropic", adaptive_rows.ROWS, MATRIX),
-    "adaptive isotropic": (adaptive_rows, "pair_isotropic", adaptive_rows.ROWS, MATRIX[:1]),
-    "convolved": (convolved_rows, "pair_anisotropic", convolved_rows.ROWS, [*MATRIX, NOTHING]),
+    "adaptive": (adaptive_rows, "pair_anisotropic", adaptive_rows.ROWS, [MATRIX]),
+    "adaptive isotropic": (adaptive_rows, "pair_isotropic", adaptive_rows.ROWS, [MATRIX[0]]),
+    "convolved": (convolved_rows, "pair_anisotropic", convolved_rows.ROWS, [MATRIX, NOTHING]),
     "convolved isotropic": (convolved_rows, "pair_isotropic", convolved_rows.ROWS, [MATRIX[0], False, NOTHING]),
 }
 COLUMNS = {
-    "columns": ("density_anisotropic", [*MATRIX, NOTHING]),
+    "columns": ("density_anisotropic", [MATRIX, NOTHING]),
     "columns isotropic": ("density_isotropic", [MATRIX[0], False, NOTHING]),
 }
 
@@ -77,7 +77,7 @@ def test_operations_of_the_row_kernels(name, tile, monkeypatch):
     monkeypatch.setattr(module, "inverse_root", Counted.inverse_root, raising=False)
     monkeypatch.setattr(front_end, "math", COUNTED_MATH)
     Counted.count = 0
-    getattr(module, function)(tile, 0, *Y, *matrix, tuple(Counted(0.0) for _ in range(sums)))
+    getattr(module, function)(tile, 0, Y, *matrix, tuple(Counted(0.0) for _ in range(sums)))
     assert Counted.count == PAIR_OPERATIONS[name]
 
 
@@ -87,6 +87,6 @@ def test_operations_of_the_column_kernels(name, tile, monkeypatch):
     monkeypatch.setattr(convolved_columns, "math", COUNTED_MATH)
     monkeypatch.setattr(front_end, "math", COUNTED_MATH)
     Counted.count = 0
-    total = Counted(0.0) + getattr(convolved_columns, function)(tile, 0, *Y, *matrix)
+    total = Counted(0.0) + getattr(convolved_columns, function)(tile, 0, Y, *matrix)
     assert total.value > 0.0
     assert Counted.count == PAIR_OPERATIONS[name]

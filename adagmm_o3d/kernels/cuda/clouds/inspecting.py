@@ -21,9 +21,9 @@ FAULTS, ANISOTROPIC, SINGULAR, EMPTY = 7, 8, 16, 32
 
 
 @exact
-def along(l0, l1, l2, a, b, c, d, e, f):
-    """One entry of the matrix with eigenvalues l: the components (a, c, e) and (b, d, f) of the eigenvectors."""
-    return l0 * a * b + l1 * c * d + l2 * e * f
+def along(values, a, b):
+    """One entry of the matrix with eigenvalues `values` (3): a and b (3), the eigenvectors' components of two axes."""
+    return values[0] * a[0] * b[0] + values[1] * a[1] * b[1] + values[2] * a[2] * b[2]
 
 
 def _build(given, stamp):
@@ -85,12 +85,9 @@ def _build(given, stamp):
                     found = SINGULAR
                     l0, l1 = size * EPSILON * l2, size * max(l1, EPSILON * l2)
                     l2 = size * l2
-                    c00 = along(l0, l1, l2, x0, x0, y0, y0, z0, z0)
-                    c01 = along(l0, l1, l2, x0, x1, y0, y1, z0, z1)
-                    c02 = along(l0, l1, l2, x0, x2, y0, y2, z0, z2)
-                    c11 = along(l0, l1, l2, x1, x1, y1, y1, z1, z1)
-                    c12 = along(l0, l1, l2, x1, x2, y1, y2, z1, z2)
-                    c22 = along(l0, l1, l2, x2, x2, y2, y2, z2, z2)
+                    values, of_x, of_y, of_z = (l0, l1, l2), (x0, y0, z0), (x1, y1, z1), (x2, y2, z2)
+                    c00, c01, c02 = along(values, of_x, of_x), along(values, of_x, of_y), along(values, of_x, of_z)
+                    c11, c12, c22 = along(values, of_y, of_y), along(values, of_y, of_z), along(values, of_z, of_z)
                     variance, largest = (l0 / l2 * (l1 / l2)) ** (1.0 / 3.0) * l2, l2
                 elif isotropic:
                     variance = largest = c00

@@ -97,7 +97,7 @@ def build(jit, inverse_root, power_of_two):
         """A pair of convolved Gaussians, whose offset is d and whose packed covariances add up to S.
 
         The height share · |S|^(-1/2), 1/|S|, the squared Mahalanobis distance q, and, times |S|, S⁻¹ d and S⁻¹: the
-        pair weighs height · exp(-q/2).
+        pair weighs height · exp(-q/2), see `density_of`.
         """
         c0, c1, c2, c3, c4, c5 = adjugate(s0, s1, s2, s3, s4, s5)
         root = inverse_root(dot(s0, s1, s2, c0, c1, c2))
@@ -124,6 +124,12 @@ def build(jit, inverse_root, power_of_two):
         # |S|^(-1/2): the precision to the power D / 2.
         height = share * precision
         return height if planar else height * root, precision, q
+
+    @jit
+    def density_of(height, exponent):
+        """What such a pair adds to the density at either of its points, and so its weight: height · 2**-exponent. The
+        exponent is q and how unlike the colours are, if these count."""
+        return height * power_of_two(-exponent)
 
     @jit
     def normal_equations(y0, y1, y2, p0, p1, p2, p3, p4, p5, u0, u1, u2, t0, t1, t2):
@@ -174,6 +180,7 @@ def build(jit, inverse_root, power_of_two):
         convolved_planar=convolved_planar,
         convolved_isotropic=convolved_isotropic,
         capped_distance=capped_distance,
+        density_of=density_of,
         normal_equations=normal_equations,
         symmetric_product=symmetric_product,
         dot=dot,

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from adagmm_o3d.kernels.cpu.compiling import F0, FLAGS, formulas
 from adagmm_o3d.kernels.cpu.culling import TILE
-from adagmm_o3d.kernels.cpu.exp2 import exp2_float32, exp2_parts
 from adagmm_o3d.kernels.layout import (
     DENSITY,
     ENERGY,
@@ -36,7 +35,7 @@ from adagmm_o3d.kernels.layout import (
 
 convolved_full, convolved_planar = formulas.convolved_full, formulas.convolved_planar
 convolved_isotropic = formulas.convolved_isotropic
-capped_distance = formulas.capped_distance
+capped_distance, density_of = formulas.capped_distance, formulas.density_of
 
 # Loops over two indices, a row and a point, become vector code because neither can count from the end: one is a
 # constant, one unsigned.
@@ -111,9 +110,8 @@ def moments_full(target, i, j, cluster, hue, rows):
                 exponent = q + unlike
             else:
                 exponent = q
-            fraction, whole = exp2_parts(-exponent)
             factor = target[FACTOR, n]
-            g = fraction * (height * whole)
+            g = density_of(height, exponent)
             density += g
             c = g * factor
             f = g * (factor * inverse)
@@ -173,9 +171,8 @@ def moments_planar(target, i, j, cluster, hue, rows):
                 exponent = q + unlike
             else:
                 exponent = q
-            fraction, whole = exp2_parts(-exponent)
             factor = target[FACTOR, n]
-            g = fraction * (height * whole)
+            g = density_of(height, exponent)
             density += g
             c = g * factor
             f = g * (factor * inverse)
@@ -231,9 +228,8 @@ def moments_isotropic(target, i, j, planar, cluster, hue, rows):
                 exponent = q + unlike
             else:
                 exponent = q
-            fraction, whole = exp2_parts(-exponent)
             factor = target[ISOTROPIC_FACTOR, n]
-            g = fraction * (height * whole)
+            g = density_of(height, exponent)
             density += g
             c = g * factor
             f = g * (factor * precision)
@@ -288,7 +284,7 @@ def densities_full(target, i, j, cluster, hue, columns, rows):
                 exponent = q + unlike
             else:
                 exponent = q
-            g = height * exp2_float32(-exponent)
+            g = density_of(height, exponent)
             density += g
             columns[n] += weight * g
         rows[DENSITY, k] += density
@@ -317,7 +313,7 @@ def densities_planar(target, i, j, cluster, hue, columns, rows):
                 exponent = q + unlike
             else:
                 exponent = q
-            g = height * exp2_float32(-exponent)
+            g = density_of(height, exponent)
             density += g
             columns[n] += weight * g
         rows[DENSITY, k] += density
@@ -352,7 +348,7 @@ def densities_isotropic(target, i, j, planar, cluster, hue, columns, rows):
                 exponent = q + unlike
             else:
                 exponent = q
-            g = height * exp2_float32(-exponent)
+            g = density_of(height, exponent)
             density += g
             columns[n] += weight * g
         rows[DENSITY, k] += density

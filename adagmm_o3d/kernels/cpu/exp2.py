@@ -42,13 +42,6 @@ def _nearest_whole(_context, x):
 @njit(fastmath={"contract"}, error_model="numpy")
 def exp2_float32(x):
     """2**x for float32 x <= 0, relative error below 3e-7; below -126 it stays at 2**-126."""
-    fraction, whole = exp2_parts(x)
-    return fraction * whole
-
-
-@njit(fastmath={"contract"}, error_model="numpy")
-def exp2_parts(x):
-    """2**x as two factors: that of the fraction, and that of the whole number, which is ready long before the other."""
     x = x if x > LOWEST else LOWEST
     # Adding SHIFT and subtracting it would round as well, but r would have to wait for both.
     rounded = _nearest_whole(x)
@@ -57,4 +50,5 @@ def exp2_parts(x):
     whole = _as_float32(np.int32(_as_int32(rounded + SHIFT) << MANTISSA_BITS))
     # The terms are added in pairs: fewer operations wait for one another than by Horner's rule.
     square = r * r
-    return ((C5 * r + C4) * square + (C3 * r + C2)) * square + (C1 * r + C0), whole
+    fraction = ((C5 * r + C4) * square + (C3 * r + C2)) * square + (C1 * r + C0)
+    return fraction * whole

@@ -4,8 +4,6 @@ On the CPU one pass leaves both. Here the columns of a block of pairs would have
 fixed order and without atomics; a second, lighter pass is simpler and needs no memory.
 """
 
-import math
-
 from numba import float32, int32
 
 from adagmm_o3d.kernels.cuda.convolved_rows import unlike_at
@@ -22,6 +20,7 @@ from adagmm_o3d.kernels.cuda.tiles import is_near, isotropic_matrix_of, packed_m
 from adagmm_o3d.kernels.layout import FACTOR, HUE, ISOTROPIC_FACTOR, ISOTROPIC_HUE, MATRIX, SHARE, X
 
 convolved_full, convolved_isotropic = formulas.convolved_full, formulas.convolved_isotropic
+density_of = formulas.density_of
 
 # Tiles summed in float32 before float64 takes over.
 FLUSH = 4
@@ -46,7 +45,7 @@ def density_anisotropic(y, j, x, a, unlike):
         y[j, MATRIX + 4] + a[4],
         y[j, MATRIX + 5] + a[5],
     )
-    return height * math.exp2(-(q + unlike))
+    return density_of(height, q + unlike)
 
 
 @fast
@@ -56,7 +55,7 @@ def density_isotropic(y, j, x, a, planar, unlike):
     dy = y[j, X + 1] - x[1]
     dz = y[j, X + 2] - x[2]
     height, _, q = convolved_isotropic(y[j, SHARE], dx, dy, dz, y[j, MATRIX] + a, planar)
-    return height * math.exp2(-(q + unlike))
+    return density_of(height, q + unlike)
 
 
 def _build(isotropic, coloured, stamp):

@@ -18,7 +18,7 @@ from adagmm_o3d.kernels.cuda.tiles import is_near, isotropic_matrix_of, packed_m
 from adagmm_o3d.kernels.layout import FACTOR, HUE, ISOTROPIC_FACTOR, ISOTROPIC_HUE, MATRIX, SHARE, X
 
 convolved_full, convolved_isotropic = formulas.convolved_full, formulas.convolved_isotropic
-capped_distance = formulas.capped_distance
+capped_distance, density_of = formulas.capped_distance, formulas.density_of
 
 # Sums of a source point: layout.WEIGHT to PULL, then the density.
 ROWS = 12
@@ -48,7 +48,7 @@ def pair_anisotropic(x, j, y, b, unlike, s):
         x[j, MATRIX + 4] + b[4],
         x[j, MATRIX + 5] + b[5],
     )
-    g = height * math.exp2(-(q + unlike))
+    g = density_of(height, q + unlike)
     c = g * x[j, FACTOR]
     k = c * inverse
     return (
@@ -74,7 +74,7 @@ def pair_isotropic(x, j, y, b, planar, unlike, s):
     dy = y[1] - x[j, X + 1]
     dz = y[2] - x[j, X + 2]
     height, precision, q = convolved_isotropic(x[j, SHARE], dx, dy, dz, x[j, MATRIX] + b, planar)
-    g = height * math.exp2(-(q + unlike))
+    g = density_of(height, q + unlike)
     c = g * x[j, ISOTROPIC_FACTOR]
     k = c * precision
     p = s[2] + k

@@ -84,7 +84,6 @@ def test_operations_of_the_row_kernels(name, tile, monkeypatch):
 @pytest.mark.parametrize("name", COLUMNS)
 def test_operations_of_the_column_kernels(name, tile, monkeypatch):
     function, matrix = COLUMNS[name]
-    monkeypatch.setattr(convolved_columns, "math", COUNTED_MATH)
     monkeypatch.setattr(front_end, "math", COUNTED_MATH)
     Counted.count = 0
     total = Counted(0.0) + getattr(convolved_columns, function)(tile, 0, Y, *matrix)

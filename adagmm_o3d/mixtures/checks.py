@@ -102,6 +102,18 @@ def check_extent(name: str, extent: float) -> None:
         raise InputError(f"{name}.points: expected an extent of {SMALLEST_EXTENT:g} or more, got {extent:g}; rescale")
 
 
+def check_ratios(name: str, variances: Array, unit: float) -> None:
+    """Raise if a variance divided by the unit overflows or vanishes: a GPU's kernels have no other way to scale it."""
+    with np.errstate(over="ignore"):
+        ratios = variances / unit
+    wrong = np.flatnonzero(~((ratios >= sys.float_info.min) & (ratios <= sys.float_info.max)))
+    if len(wrong):
+        raise InputError(
+            f"{name}.covariances: expected on a GPU variances with a number in units of a good point's, {unit:.3g}, "
+            f"got {variances[wrong[0]]:.3g} of point {wrong[0]}; register with device='cpu', or mark_outliers()"
+        )
+
+
 def spread_of(scatter: Array) -> Array:
     """(D,) descending singular values of the offsets whose products add up to `scatter` (D, D)."""
     return np.sqrt(np.maximum(np.linalg.eigvalsh(scatter)[::-1], 0.0))

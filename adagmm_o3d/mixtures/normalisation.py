@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.errors import InputError
+from adagmm_o3d.mixtures.checks import check_ratios
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.sampling import quantile, some_of
 
@@ -80,7 +81,7 @@ def normalise(source: Mixture, target: Mixture) -> tuple[Mixture, Mixture, Norma
 
     Raises
     ------
-    InputError : a cloud that is hardly more than a dot at that scale.
+    InputError : a cloud that is hardly more than a dot at that scale; variances with no number in the unit, on a GPU.
     """
     sides = (source, target)
     variances = [m.variances for m in sides]
@@ -89,6 +90,9 @@ def normalise(source: Mixture, target: Mixture) -> tuple[Mixture, Mixture, Norma
     unit = float(f"{quantile(np.concatenate(variances), GOOD_SHARE):.{UNIT_DIGITS}g}")
     with np.errstate(over="ignore"):  # beyond all numbers is beyond the range
         relative = [np.minimum(np.maximum(v / unit, VARIANCE_RANGE[0]), VARIANCE_RANGE[1]) for v in variances]
+    for name, m, v in zip(("source", "target"), sides, variances, strict=True):
+        if m.on_device:
+            check_ratios(name, v, unit)
     centres = [m.centroid(m.weights / r) for m, r in zip(sides, relative, strict=True)]
     certain = [_certain(r) for r in relative]
     radii = [m.radius(c, m.weights * k) for m, c, k in zip(sides, centres, certain, strict=True)]

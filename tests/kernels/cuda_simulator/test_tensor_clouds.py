@@ -119,3 +119,28 @@ def test_a_cloud_that_is_prepared_there():
     for _ in range(2):
         result = registration_adaptive_gmm(source, ready, 0.1, **options)
         np.testing.assert_array_equal(result.transformation.numpy(), expected.transformation.numpy())
+
+
+def unequal(large, small):
+    """Two clouds, half of the covariances of each times `large`, half times `small`."""
+    clouds = pair(True, o3d.core.float64)[:2]
+    for cloud in clouds:
+        covariances = cloud.point.covariances.numpy().copy()
+        covariances[: len(covariances) // 2] *= large
+        covariances[len(covariances) // 2 :] *= small
+        cloud.point.covariances = o3d.core.Tensor(covariances)
+    return clouds
+
+
+@pytest.mark.parametrize(("large", "small"), [(1e300, 1e-300), (1e200, 1e-200)])
+def test_covariances_at_both_ends_of_all_numbers_are_refused(large, small):
+    """In units of one another they have no number; on the host each is scaled by its own."""
+    with pytest.raises(InputError, match=r"^source\.covariances: expected on a GPU variances with a number in units"):
+        registration_adaptive_gmm(*unequal(large, small), 0.1, estimation_method=METHOD, criteria=CRITERIA)
+
+
+def test_covariances_far_apart_end_where_they_do_on_the_host():
+    clouds, options = unequal(1e100, 1e-100), {"estimation_method": METHOD, "criteria": CRITERIA}
+    expected = registration_adaptive_gmm(*clouds, 0.1, device="cpu", **options)
+    result = registration_adaptive_gmm(*clouds, 0.1, **options)
+    np.testing.assert_allclose(result.transformation.numpy(), expected.transformation.numpy(), rtol=0, atol=1e-5)

@@ -98,6 +98,30 @@ def test_the_workflow_runs_what_is_promised():
     assert "bash tests/run.sh" in workflow and "bash tests/minimum_versions.sh" in workflow
 
 
+def test_the_steps_of_the_workflow_run_scripts_that_are_there():
+    yaml = pytest.importorskip("yaml", reason="needs PyYAML, which the extra apps brings")
+    jobs = yaml.safe_load((ROOT / ".github" / "workflows" / "tests.yml").read_text())["jobs"]
+    commands = {job: [step["run"] for step in jobs[job]["steps"] if "run" in step] for job in jobs}
+    scripts = {job: [run.split()[1] for run in runs if run.startswith("bash ")] for job, runs in commands.items()}
+    assert scripts == {
+        "tests": ["tests/run.sh"],
+        "minimum-versions": ["tests/minimum_versions.sh"],
+        "distribution": ["tests/distribution.sh"],
+    }
+    assert all((ROOT / script).is_file() for (script,) in scripts.values())
+
+
+def test_what_is_checked_before_a_commit_is_what_the_tests_check():
+    yaml = pytest.importorskip("yaml", reason="needs PyYAML, which the extra apps brings")
+    (repository,) = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"]
+    hooks = {hook["id"]: hook["entry"] for hook in repository["hooks"]}
+    run = (ROOT / "tests" / "run.sh").read_text()
+    for tool in ("ruff-check", "ruff-format", "mypy"):
+        assert f".venv/bin/{hooks.pop(tool)}" in run, tool
+    assert hooks == {"notebooks": "python examples/make_notebooks.py"}
+    assert (ROOT / hooks["notebooks"].split()[1]).is_file()
+
+
 def test_the_libraries_of_the_system_are_the_same_wherever_they_are_named():
     scripts = (ROOT / "apps" / "system_packages.sh").read_text()
     needed = set(re.search(r'^LIBRARIES="(.*?)"', scripts, re.MULTILINE)[1].split())

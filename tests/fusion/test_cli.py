@@ -179,6 +179,32 @@ def test_known_errors_are_one_line_on_stderr(arguments, message, capsys):
     assert err.startswith("adagmm-fusion: ") and message in err
 
 
+@pytest.mark.parametrize("name", ["a" * 300, "d/" * 3000 + "d"], ids=["a name", "a path"])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["info", "NAME"],
+        ["run", "NAME"],
+        ["fuse", "NAME"],
+        ["verify", str(ROOT / "calibration" / "two_kinects.yaml"), "NAME"],
+        ["calibrate", "--from-scene", "NAME", "--output", "rig.yaml"],
+        ["convert", "NAME", "out"],
+        ["convert", SHIPPED, "NAME"],
+        ["simulate", "NAME"],
+        ["run", SHIPPED, "--output", "NAME", *QUICK],
+        ["run", SHIPPED, "--save", "NAME", *QUICK],
+        ["run", SHIPPED, "--config", "NAME"],
+        ["run", SHIPPED, "--calibration", "NAME"],
+    ],
+    ids=" ".join,
+)
+def test_a_name_that_is_too_long_is_one_line_on_stderr(arguments, name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main([name if argument == "NAME" else argument for argument in arguments]) in (1, 2)
+    err = capsys.readouterr().err.strip().splitlines()[-1]
+    assert err.startswith("adagmm-fusion") and "File name too long" in err
+
+
 def test_a_folder_that_cannot_be_written_is_one_line_on_stderr(tmp_path, capsys):
     (tmp_path / "file").write_text("in the way")
     assert main(["run", SHIPPED, "--pairs", "0", "--no-rerun", "--output", str(tmp_path / "file"), *QUICK]) == 1

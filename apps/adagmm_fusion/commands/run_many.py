@@ -43,11 +43,19 @@ class RecordingResult:
 
 
 def recordings_in(path: str | Path) -> list[Path]:
-    """The recordings among a folder's subfolders; none if the folder is a recording itself, or no folder."""
+    """The recordings among a folder's subfolders; none if the folder is a recording itself, or no folder.
+
+    Raises
+    ------
+    RecordingError : the folder cannot be looked into.
+    """
     folder = Path(path)
-    if not folder.is_dir() or _is_recording(folder):
-        return []
-    return [child for child in sorted(folder.iterdir()) if child.is_dir() and _is_recording(child)]
+    try:
+        if not folder.is_dir() or _is_recording(folder):
+            return []
+        return [child for child in sorted(folder.iterdir()) if child.is_dir() and _is_recording(child)]
+    except OSError as problem:
+        raise RecordingError(f"{folder}: cannot be read: {problem.strerror}") from problem
 
 
 def run_many(recordings: list[Path], args: argparse.Namespace, settings: Settings) -> int:

@@ -1,4 +1,4 @@
-"""One run at a time writes into a folder of results."""
+"""Folders of results: a new one, and one run at a time writes into it."""
 
 import os
 from collections.abc import Iterator
@@ -7,6 +7,7 @@ from pathlib import Path
 
 from adagmm_fusion.errors import OutputError
 from adagmm_fusion.files.file_lock import lock
+from adagmm_o3d.errors import AdaGMMError
 
 
 @contextmanager
@@ -38,6 +39,16 @@ def exclusive(folder: Path, *, follow_links: bool = True) -> Iterator[None]:
     finally:
         if handle is not None:
             os.close(handle)
+
+
+def check_new_folder(folder: Path, error: type[AdaGMMError] = OutputError) -> None:
+    """Raise `error` where a folder is already, unless it is empty, or where none can be."""
+    try:
+        taken = folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
+    except OSError as problem:  # a name that is too long, a folder that may not be looked into
+        raise error(f"{folder}: cannot be written: {problem.strerror}") from problem
+    if taken:
+        raise error(f"{folder}: is there already and not an empty folder; give a new one")
 
 
 def _locked(handle: int) -> bool:

@@ -33,7 +33,11 @@ def open_recording(
     RecordingError, RigError  naming the file, the line where there is one, what was wanted and what is there.
     """
     path = Path(path)
-    if not path.exists():
+    try:
+        there = path.exists()
+    except OSError as problem:  # a name that is too long, a folder above it that may not be looked into
+        raise RecordingError(f"{path}: cannot be read: {problem.strerror}") from problem
+    if not there:
         raise RecordingError(f"{path}: there is no such recording")
     if isinstance(step, bool) or not isinstance(step, int) or step < 1:
         raise InputError(f"step: expected a positive number of frames, got {step!r}")

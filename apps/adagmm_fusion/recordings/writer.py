@@ -12,7 +12,7 @@ import numpy as np
 
 from adagmm_fusion.errors import OutputError, RecordingError
 from adagmm_fusion.files.atomic_file import write_text
-from adagmm_fusion.files.output_folder import exclusive
+from adagmm_fusion.files.output_folder import check_new_folder, exclusive
 from adagmm_fusion.formats.own import FORMAT, FRAME_NAME, MANIFEST, VERSION
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame
 from adagmm_fusion.recordings.frame_sequence import FrameEntry, Recording
@@ -48,8 +48,7 @@ def convert_recording(
     OutputError  if the folder cannot be written, or holds something.
     """
     folder = Path(folder)
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise OutputError(f"{folder}: is there already and not an empty folder; give a new one")
+    check_new_folder(folder)
     moments = _moments(recording)
     extrinsics, moving = _extrinsics(recording, moments)
     partial = folder.with_name(f".{folder.name}.partial")

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from adagmm_fusion.errors import OutputError
 from adagmm_fusion.files.atomic_file import replacing, write_text
+from adagmm_fusion.files.output_folder import check_new_folder
 from adagmm_fusion.rigs.rig import Rig, SensorCalibration, save_rig
 from adagmm_fusion.simulation.kinect import INTRINSICS, KinectModel, render_color, render_depth
 from adagmm_fusion.simulation.raycast import Scene
@@ -93,8 +94,7 @@ def simulate_recording(
         raise InputError(f"pairs: expected 1 to {MAX_PAIRS}, got {pairs}")
     if seed < 0:
         raise InputError(f"seed: expected 0 or more, got {seed}")
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"{folder}: is there already and not an empty folder; give a new one")
+    check_new_folder(folder, InputError)
     rig_path = folder / "rig.yaml" if calibration is None else Path(calibration)
     name = folder.resolve().name
     save_rig(rig_path, simulated_rig(name))

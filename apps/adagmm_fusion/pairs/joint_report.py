@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from adagmm_fusion.files.atomic_file import write_text
+from adagmm_fusion.files.markdown import link, plain
 
 SCHEMA, VERSION = "adagmm-fusion-joint-report", 1
 
@@ -34,17 +35,17 @@ class RecordingSummary:
 def joint_markdown(title: str, recordings: Sequence[RecordingSummary]) -> str:
     """report.md of all recordings, those with the most failures first."""
     ordered = sorted(recordings, key=lambda r: (r.report is not None, -len(r.failed)))
-    lines = [f"# {title}", "", "| recording | ok | pairs | median ° | median mm |", "|:--|--:|--:|--:|--:|"]
+    lines = [f"# {plain(title)}", "", "| recording | ok | pairs | median ° | median mm |", "|:--|--:|--:|--:|--:|"]
     lines += [_row(recording) for recording in ordered]
     for recording in ordered:
         if recording.report is None:
-            lines += ["", f"## {recording.name}", "", f"could not be run: {recording.reason}"]
+            lines += ["", f"## {plain(recording.name)}", "", f"could not be run: {plain(recording.reason)}"]
         elif recording.failed:
             lines += [
                 "",
-                f"## {recording.name}",
+                f"## {plain(recording.name)}",
                 "",
-                f"[{recording.folder}/report.md]({recording.folder}/report.md)",
+                link(f"{recording.folder}/report.md"),
                 "",
             ]
             lines += [_why(pair) for pair in recording.failed]
@@ -78,16 +79,16 @@ def write_joint_report(folder: Path, title: str, recordings: Sequence[RecordingS
 
 def _row(recording: RecordingSummary) -> str:
     if recording.report is None:
-        return f"| {recording.name} | – | – | – | – |"
+        return f"| {plain(recording.name)} | – | – | – | – |"
     summary = recording.report["summary"]
     median = summary["median"]
     figures = [_shown(median["rotation_error_deg"], ".2f"), _shown(median["translation_error_mm"], ".0f")]
-    return f"| {recording.name} | {summary['ok']} | {summary['pairs_done']} | {' | '.join(figures)} |"
+    return f"| {plain(recording.name)} | {summary['ok']} | {summary['pairs_done']} | {' | '.join(figures)} |"
 
 
 def _why(pair: dict[str, Any]) -> str:
     mark = "×" if pair["status"] != "ok" else "worse than its start"
-    return f"- {mark} {pair['pair']}: {pair['diagnosis'] or pair['reason']}"
+    return f"- {mark} {plain(pair['pair'])}: {plain(pair['diagnosis'] or pair['reason'])}"
 
 
 def _shown(value: float | None, form: str) -> str:

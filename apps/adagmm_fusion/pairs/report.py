@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from adagmm_fusion.files.atomic_file import write_text
+from adagmm_fusion.files.markdown import link, plain
 from adagmm_fusion.pairs.record import PairRecord
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.pairs.stages import Stage
@@ -132,26 +133,28 @@ def terminal_table(report: Report, width: int = FULL_WIDTH) -> Table:
 
 def markdown(report: Report) -> str:
     """report.md."""
-    lines = [f"# {report.recording}", "", f"**{report.headline()}.**", ""]
+    lines = [f"# {plain(report.recording)}", "", f"**{report.headline()}.**", ""]
     lines += ["| " + " | ".join(COLUMNS) + " |", "|:--" + "|--:" * (len(COLUMNS) - 2) + "|:--|"]
-    lines += ["| " + " | ".join(cell.replace("|", "/") for cell in _row(record)) + " |" for record in report.records]
+    lines += ["| " + " | ".join(map(plain, _row(record))) + " |" for record in report.records]
     lines += ["", NOTES]
     if any(record.stages for record in report.records):
         lines += ["", "## Stages", "", "| pair | " + " | ".join(STAGES) + " |", "|:--" + "|:--" * len(STAGES) + "|"]
         lines += [_stage_row(record) for record in report.records if record.stages]
         lines += ["", STAGE_NOTES]
     if diagnoses := report.diagnoses():
-        lines += ["", "## Why", "", *(f"- {line}" for line in diagnoses)]
+        lines += ["", "## Why", "", *(f"- {plain(line)}" for line in diagnoses)]
     if report.notes:
-        lines += ["", "## Notes on the recording", "", *(f"- {note}" for note in report.notes)]
+        lines += ["", "## Notes on the recording", "", *(f"- {plain(note)}" for note in report.notes)]
     if failures := report.failures():
-        lines += ["", "## Failures", "", *(f"- {line}" for line in failures)]
+        lines += ["", "## Failures", "", *(f"- {plain(line)}" for line in failures)]
     warned = [(record, text) for record in report.records for text in record.warnings]
     if warned:
-        lines += ["", "## Warnings of the estimates", "", *(f"- {record.pair}: {text}" for record, text in warned)]
-    lines += ["", "## Results", "", *(f"- {what}: [{path}]({path})" for what, path in report.results.items())]
-    lines += ["", "## Run", "", f"- recording: {report.path} ({report.format}; sensors {', '.join(report.sensors)})"]
-    lines += [f"- calibration: {report.calibration or 'as in the recording'}"]
+        texts = (f"- {plain(f'{record.pair}: {text}')}" for record, text in warned)
+        lines += ["", "## Warnings of the estimates", "", *texts]
+    lines += ["", "## Results", "", *(f"- {plain(what)}: {link(path)}" for what, path in report.results.items())]
+    recording = f"{report.path} ({report.format}; sensors {', '.join(report.sensors)})"
+    lines += ["", "## Run", "", f"- recording: {plain(recording)}"]
+    lines += [f"- calibration: {plain(report.calibration or 'as in the recording')}"]
     lines += [f"- {name}: {'automatic' if value is None else value}" for name, value in asdict(report.settings).items()]
     lines += ["- " + ", ".join(f"{name} {version}" for name, version in versions().items())]
     return "\n".join(lines) + "\n"
@@ -232,12 +235,12 @@ def _short_row(record: PairRecord) -> list[str]:
 
 
 def _stage_row(record: PairRecord) -> str:
-    cells = [record.pair]
+    cells = [plain(record.pair)]
     for stage in record.stages:
         by = f" ({stage.found_by})" if stage.found_by else ""
         red = f"{RED} " if stage.stage == "end" and record.worse_than_start else ""
         cells.append(f"{red}{_errors(stage)}, overlap {stage.overlap:.2f}{by}")
-    return "| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |"
+    return "| " + " | ".join(cells) + " |"
 
 
 def _errors(stage: Stage | None) -> str:

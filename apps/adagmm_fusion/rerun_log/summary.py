@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
+from adagmm_fusion.files.markdown import plain
 from adagmm_fusion.pairs.record import PairRecord
 from adagmm_fusion.pairs.stages import END, IDENTITY, START
 from adagmm_fusion.rerun_log import entities
@@ -90,7 +91,7 @@ def _row(frame: int, record: PairRecord) -> str:
 
 def _why(frame: int, record: PairRecord) -> str:
     words = [text for text in (record.diagnosis, *record.warnings) if text] or [record.reason or record.status]
-    return f"- **{frame}** {record.pair}: {'; '.join(words)}."
+    return f"- **{frame}** {plain(record.pair)}: {plain('; '.join(words))}."
 
 
 def _badness(record: PairRecord) -> tuple:

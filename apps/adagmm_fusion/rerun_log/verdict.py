@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adagmm_fusion.files.markdown import plain
 from adagmm_fusion.pairs.point_diagnostics import CONTRADICTED, HIDDEN, PARTNER, PointDiagnostics
 from adagmm_fusion.pairs.spread import spread_mm
 from adagmm_fusion.pairs.stages import END, Stage, worse_than_start
@@ -39,11 +40,11 @@ def pair_report(
 
     Its tables are narrow: they are read beside the pictures, in small windows too.
     """
-    lines = [f"### {verdict(estimate, stages, limits, status, reason)}", ""]
+    lines = [f"### {verdict(estimate, stages, limits, status, plain(reason))}", ""]
     if diagnosis:
         lines += [f"**Why:** {diagnosis}.", ""]
     if estimate is None:
-        return "\n".join([*lines, name])
+        return "\n".join([*lines, plain(name)])
     if any(stage.rotation_error_deg is not None for stage in stages):
         lines += ["| error | ° | mm |", "|:--|--:|--:|"]
         lines += [_stage_row(stage, stages) for stage in stages]
@@ -76,7 +77,7 @@ def pair_report(
     if estimate.unobservable:
         free = len(estimate.unobservable)
         lines += ["", f"**{free} direction{'s' * (free > 1)} not determined by the clouds**: see the arrows."]
-    lines += ["", *(f"- **Warning:** {warning}" for warning in estimate.warnings), "", name]
+    lines += ["", *(f"- **Warning:** {warning}" for warning in estimate.warnings), "", plain(name)]
     return "\n".join(lines)
 
 

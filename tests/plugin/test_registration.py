@@ -242,7 +242,8 @@ tensor_kernel = o3d.t.pipelines.registration.robust_kernel
         (reg.TransformationEstimationForGeneralizedICP(), "INFO", ""),
         (o3d.t.pipelines.registration.TransformationEstimationPointToPlane(), "INFO", ""),
         (
-            o3d.t.pipelines.registration.TransformationEstimationForDopplerICP(),
+            # Made in the test: it holds a tensor, and Open3D ends a process with an error where one is left.
+            o3d.t.pipelines.registration.TransformationEstimationForDopplerICP,
             "WARNING",
             "; Doppler velocities are not looked at",
         ),
@@ -261,6 +262,7 @@ tensor_kernel = o3d.t.pipelines.registration.robust_kernel
     ],
 )
 def test_what_stands_for_open3ds_method_is_said_once(pair, log, method, level, said):
+    method = method() if isinstance(method, type) else method
     for _ in range(2):
         registration_adaptive_gmm(pair.source, pair.target, 0.05, np.eye(4), method)
     name = type(method).__name__

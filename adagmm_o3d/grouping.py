@@ -56,16 +56,20 @@ def even_edge(points: Array) -> float | None:
     a quarter of it; None where the cloud is not dense."""
     if len(points) < DENSE_FROM:
         return None
-    offsets = points - points.mean(axis=0)
-    edge = CELL * math.sqrt((offsets**2).sum(axis=1).mean())
+    edge = CELL * math.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean())
     while edge > 0.0:
-        cells = len(Groups(cell_numbers(offsets, np.full(len(points), edge)), np.ones(len(points))))
+        cells = len(cells_of(points, edge))
         if cells > MOST_LEFT * len(points):
             break
         if cells >= FEWEST:
             return edge
         edge *= 0.5
     return None
+
+
+def cells_of(points: Array, edge: float) -> Groups:
+    """(n, D) points by the cell of that edge that they lie in, counted from the centroid."""
+    return Groups(cell_numbers(points - points.mean(axis=0), np.full(len(points), edge)), np.ones(len(points)))
 
 
 def cell_numbers(points: Array, edges: Array, kinds: NDArray[np.int64] | None = None) -> NDArray[np.int64]:

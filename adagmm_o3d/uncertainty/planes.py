@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from adagmm_o3d.arguments import Array
-from adagmm_o3d.grouping import Groups, cell_numbers
+from adagmm_o3d.grouping import cells_of
 from adagmm_o3d.neighbors import NeighborIndex
 
 CHUNK = 65536
@@ -63,8 +63,3 @@ def find_planes(points: Array, queries: Array, edges: Sequence[float], most: int
             found[start : start + CHUNK] = flat
         left = left[~found]
     return normals, variances
-
-
-def cells_of(points: Array, edge: float) -> Groups:
-    """The points by the cell that they lie in, counted from their least coordinates."""
-    return Groups(cell_numbers(points - points.min(axis=0), np.full(len(points), edge)), np.ones(len(points)))

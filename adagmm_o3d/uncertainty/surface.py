@@ -5,10 +5,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from adagmm_o3d.arguments import Array, float_array, real_number, unit_vectors, whole_number
 from adagmm_o3d.errors import DegenerateError, InputError
-from adagmm_o3d.grouping import even_edge
+from adagmm_o3d.grouping import cells_of, even_edge
 from adagmm_o3d.kernels.limits import EPSILON, KNN, LINE_RATIO
 from adagmm_o3d.neighbors import NeighborIndex
-from adagmm_o3d.uncertainty.planes import CHUNK, cells_of, find_planes
+from adagmm_o3d.uncertainty.planes import CHUNK, find_planes
 
 CELLS = (0.5, 1.0, 2.0)
 """Edges of the cells of a dense cloud, in those of even ones, the smallest that will do."""

@@ -139,6 +139,14 @@ def test_clouds_without_covariances_need_no_sensor_model(distance, angle_deg):
         assert not result.details.warnings
 
 
+@pytest.mark.parametrize("far", [-1e6, -1e5, 1e5])
+def test_a_point_far_out_leaves_the_planes_of_the_others(far):
+    scan = Street(1).scan(drive(2)[0])
+    alone = normal_errors_deg(estimate_surface_covariances(scan.points), scan.normals)
+    with_it = estimate_surface_covariances(np.vstack([scan.points, np.full((1, 3), far)]))[:-1]
+    assert np.median(normal_errors_deg(with_it, scan.normals)) < 1.75 * np.median(alone)
+
+
 def test_the_steps_of_a_drive_do_not_add_up_to_a_drift():
     poses, street = drive(25), Street(0)
     errors = []

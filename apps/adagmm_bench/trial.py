@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import random
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -107,27 +108,27 @@ def run_trial(job: TrialJob[ProblemSource]) -> dict:
     problem = job.problem.load()
     prepared = prepare(problem, job.start)
     _warm_up(job.method, problem.dimension)
+    T_prepared, outcome = attempt(lambda: (method(prepared.source, prepared.target), {}))
+    T = orthonormal(prepared.restore(np.eye(problem.dimension + 1) if T_prepared is None else T_prepared))
+    return record_of(job, method.version(), **outcome, **judge(problem, T, job.problem.partner_distance))
+
+
+def attempt(register: Callable[[], tuple[np.ndarray, dict]]) -> tuple[np.ndarray | None, dict]:
+    """The pose that a method finds, None where it raises or finds no finite one, and what the record says of it: how it
+    went, its times and what it says itself. `register` returns the pose and the last."""
     seed_generators()
-    started, started_cpu = time.perf_counter(), time.process_time()
+    pose: np.ndarray | None = None
+    said: dict = {}
     status, reason = "ok", ""
+    started, started_cpu = time.perf_counter(), time.process_time()
     try:
-        T_prepared = method(prepared.source, prepared.target)
+        pose, said = register()
     except Exception as error:  # a peer may raise anything, and that is its result
         status, reason = "failed", " ".join(f"{type(error).__name__}: {error}".split())
-        T_prepared = np.eye(problem.dimension + 1)
     seconds, cpu_seconds = time.perf_counter() - started, time.process_time() - started_cpu
-    if not np.isfinite(T_prepared).all():
-        status, reason, T_prepared = "failed", "the pose is not finite", np.eye(problem.dimension + 1)
-    T = orthonormal(prepared.restore(T_prepared))
-    return record_of(
-        job,
-        method.version(),
-        status=status,
-        reason=reason,
-        seconds=seconds,
-        cpu_seconds=cpu_seconds,
-        **judge(problem, T, job.problem.partner_distance),
-    )
+    if pose is not None and not np.isfinite(pose).all():
+        pose, status, reason = None, "failed", "the pose is not finite"
+    return pose, {"status": status, "reason": reason, "seconds": seconds, "cpu_seconds": cpu_seconds, **said}
 
 
 def judge(problem: Problem, T: np.ndarray, partner_distance: float) -> dict:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import time
 from functools import cache
-from typing import Any
 
 import numpy as np
 
@@ -12,7 +10,7 @@ from adagmm_bench.methods import METHODS
 from adagmm_bench.methods.ours import register_clouds
 from adagmm_bench.pairs.problem import PairClouds, PairSource, plain_pair
 from adagmm_bench.speed.large import surface_pair
-from adagmm_bench.trial import TrialJob, orthonormal, record_of, seed_generators
+from adagmm_bench.trial import TrialJob, attempt, orthonormal, record_of
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.evaluation import overlap_ratio, rotation_error_deg
 from adagmm_o3d.trust.verdict import signs
@@ -32,31 +30,17 @@ def run_pair_trial(job: TrialJob[PairSource]) -> dict:
         raise InputError(f"{job.method} {reason} on this worker")
     clouds = job.problem.load()
     _warm_up(job.method)
-    seed_generators()
-    started, started_cpu = time.perf_counter(), time.process_time()
-    status, reason = "ok", ""
-    said: dict[str, Any] = {}
-    try:
-        T, said = register_pair(job.method, clouds)
-    except Exception as error:  # a peer may raise anything, and that is its result
-        status, reason = "failed", " ".join(f"{type(error).__name__}: {error}".split())
-    seconds, cpu_seconds = time.perf_counter() - started, time.process_time() - started_cpu
-    if status == "ok" and not np.isfinite(T).all():
-        status, reason = "failed", "the pose is not finite"
-    T = orthonormal(T) if status == "ok" else np.eye(4)
+    found, outcome = attempt(lambda: register_pair(job.method, clouds))
+    T = np.eye(4) if found is None else orthonormal(found)
     return record_of(
         job,
         method.version(),
-        status=status,
-        reason=reason,
-        seconds=seconds,
-        cpu_seconds=cpu_seconds,
+        **outcome,
         T_target_source=T.tolist(),
         unit=clouds.unit,
         centre=clouds.centre.tolist(),
         limits=list(clouds.limits),
         **_judged(clouds, T),
-        **said,
     )
 
 

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.lie import se_inverse
-from adagmm_o3d.neighbors import NeighborIndex
 from adagmm_o3d.trust.agreement import NEIGHBORS, Surface, near_and_on
 
 # At a straight edge the neighbours of a point are off to one side, on average by 0.42 of how far they reach; amid
@@ -29,6 +28,6 @@ def share_beyond_edges(source: Surface, target: Surface, pose: Array) -> float:
 
 def _is_edge(surface: Surface) -> NDArray[np.bool_]:
     """(n,) whether a surface, or a curve in the plane, ends at a point."""
-    indices, squares = NeighborIndex(surface.points).query(surface.points, NEIGHBORS[surface.dimension] + 1)
+    indices, squares = surface.index.query(surface.points, NEIGHBORS[surface.dimension] + 1)
     offsets = surface.points[indices[:, 1:]].mean(axis=1) - surface.points
     return (offsets**2).sum(axis=1) > ONE_SIDED**2 * squares[:, -1]

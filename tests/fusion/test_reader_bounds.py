@@ -202,3 +202,46 @@ def test_a_pipe_that_is_called_a_recording(tmp_path, name, format):
     os.mkfifo(tmp_path / name)
     with pytest.raises(RecordingError, match=f"{name}: cannot be read: it is a pipe or a device, not a file"):
         open_recording(tmp_path / name, format=format)
+
+
+# Files that may be there or not, beside those of `files_of`; and what is not read, whatever it is.
+OPTIONAL = {
+    "tum": ("associations.txt", "pairs.txt"),
+    "posefile": ("pairs.txt",),
+    "redwood": ("camera_intrinsic.json",),
+    "folder": ("intrinsics.yaml", "poses.txt"),
+    "replica": ("cam_params.json",),
+}
+NOT_READ = {("scanner-app", "info.json"), ("scanner-app", "frame_00002.json")}
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes of POSIX")
+@pytest.mark.parametrize("format", WRITERS)
+def test_a_pipe_in_the_place_of_any_file_is_said(format, tmp_path):
+    """Neither waited for nor taken for absent, the files that may be absent included."""
+    files = files_of(format)
+    rig = rig_of(format) if format in NEEDS_RIG else None
+    names = [name for name in (*files, *OPTIONAL.get(format, ())) if (format, name) not in NOT_READ]
+    for index, name in enumerate(names):
+        folder = tmp_path / str(index)
+        write_files(folder, {other: data for other, data in files.items() if other != name})
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        os.mkfifo(folder / name)
+        said = [str(problem) for problem in read_everything(folder, None, rig)]
+        assert any(line.startswith(f"{folder / name}: cannot be read: it is a pipe") for line in said), (name, said)
+
+
+@pytest.mark.parametrize("name", ["groundtruth.txt", "associations.txt", "pairs.txt"])
+def test_a_list_that_is_a_link_to_nothing_is_said(name, tmp_path):
+    write_files(tmp_path, files_of("tum"))
+    (tmp_path / name).unlink(missing_ok=True)
+    (tmp_path / name).symlink_to("nowhere")
+    with pytest.raises(RecordingError, match=f"{name}: cannot be read: it is a link to nothing"):
+        open_recording(tmp_path, rig=rig_of("tum"))
+
+
+def test_a_list_that_is_a_folder_is_said(tmp_path):
+    write_files(tmp_path, files_of("tum"))
+    (tmp_path / "pairs.txt").mkdir()
+    with pytest.raises(RecordingError, match=r"pairs\.txt: cannot be read"):
+        open_recording(tmp_path, rig=rig_of("tum"))

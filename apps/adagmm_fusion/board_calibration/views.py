@@ -15,6 +15,7 @@ import numpy as np
 from adagmm_fusion.board_calibration.boards import BoardCorners, Charuco, Chessboard
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import COLOR_SUFFIXES, read_color, read_depth
+from adagmm_fusion.files.input_file import is_given
 from adagmm_fusion.formats.options import listed_images
 from adagmm_fusion.rigs.rig import SENSOR_NAME
 from adagmm_o3d.errors import InputError
@@ -96,7 +97,7 @@ def _add_image(views: SensorViews, path: Path, board: Chessboard | Charuco) -> N
         return
     views.corners[path.stem] = corners
     depth_path = path.parent.parent / "depth" / f"{path.stem}.png"
-    if depth_path.exists():
+    if is_given(depth_path):
         depth = read_depth(depth_path)
         if depth.shape != color.shape[:2]:
             raise RecordingError(

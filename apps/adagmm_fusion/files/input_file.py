@@ -1,5 +1,6 @@
 """Files that are read: only regular ones, for a pipe may never end, and none whole without bound."""
 
+import errno
 import hashlib
 import os
 import stat
@@ -8,6 +9,21 @@ from pathlib import Path
 from adagmm_o3d.errors import InputError
 
 MAX_BYTES = 1 << 28  # far more than an image, a list of images or a calibration
+
+
+def is_given(path: Path) -> bool:
+    """Whether anything has this name: `Path.is_file` takes a pipe, a device or a link to nothing for absent, and they
+    would be passed over in silence; whoever reads them then with `read_input` is told what they are.
+
+    Raises
+    ------
+    OSError  if the folder may not be looked into.
+    """
+    try:
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError, ValueError):
+        return False
+    return True
 
 
 def check_input(path: Path, error: type[InputError], *, missing: str | None = None) -> None:
@@ -40,9 +56,15 @@ def read_input(
                     f"{path}: cannot be read: expected at most {MAX_BYTES >> 20} MiB, got {status.st_size >> 20}"
                 )
             return file.read(count)
+    except error:
+        raise
     except ValueError as problem:  # a NUL byte in its name
         raise error(f"{path}: cannot be read: {problem}") from problem
     except OSError as problem:
+        if path.is_symlink() and not path.exists():
+            raise error(f"{path}: cannot be read: it is a link to nothing") from problem
+        if problem.errno == errno.ENXIO:
+            raise error(f"{path}: cannot be read: it is a socket, not a file") from problem
         if missing is not None and isinstance(problem, FileNotFoundError):
             raise error(f"{path}: {missing}") from problem
         raise error(f"{path}: cannot be read: {problem.strerror}") from problem

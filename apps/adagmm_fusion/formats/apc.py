@@ -18,6 +18,7 @@ import numpy as np
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import image_size, inside, load_frame
+from adagmm_fusion.files.input_file import is_given
 from adagmm_fusion.formats.options import ReadOptions, intrinsics_from_matrix
 from adagmm_fusion.formats.text_table import parse_numbers, parse_pose, read_lines
 from adagmm_fusion.recordings.frame_sequence import FrameEntry, Recording, sequential_pairs
@@ -30,7 +31,7 @@ POSE_HEADING = re.compile(r"Camera-to-world extrinsic matrix .*for (frame-\d+)")
 
 
 def matches(folder: Path) -> bool:
-    return (folder / "cam.info.txt").is_file()
+    return is_given(folder / "cam.info.txt")
 
 
 def read(folder: Path, options: ReadOptions) -> Recording:

@@ -15,6 +15,7 @@ import numpy as np
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import COLOR_SUFFIXES, inside, read_color
+from adagmm_fusion.files.input_file import is_given
 from adagmm_fusion.files.json_file import json_number, json_numbers, json_object, read_json
 from adagmm_fusion.formats.listed_frames import ListedFrame, recording_of_frames
 from adagmm_fusion.formats.options import ReadOptions, intrinsics_from_matrix
@@ -30,7 +31,7 @@ CAMERAS = "scene_camera.json"
 
 
 def matches(folder: Path) -> bool:
-    return (folder / CAMERAS).is_file()
+    return is_given(folder / CAMERAS)
 
 
 def read(folder: Path, options: ReadOptions) -> Recording:

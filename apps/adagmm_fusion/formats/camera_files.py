@@ -72,7 +72,7 @@ def find_camera_files(folder: Path) -> list[Path]:
         for path in sorted(place.iterdir()):
             if path.suffix.lower() in SUFFIXES and FILE_NAME.search(path.stem if place == folder else f"k_{path.stem}"):
                 found.append(inside(folder, str(path.relative_to(folder)), str(folder)))
-    return [path for path in found if path.is_file()]
+    return [path for path in found if not path.is_dir()]
 
 
 def read_camera_file(path: Path) -> CameraFile | None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import inside
+from adagmm_fusion.files.input_file import is_given
 from adagmm_fusion.formats.listed_frames import ListedFrame, recording_of_frames
 from adagmm_fusion.formats.options import ReadOptions
 from adagmm_fusion.formats.text_table import parse_numbers, parse_quaternion_pose, read_rows
@@ -29,7 +30,7 @@ MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
 def matches(folder: Path) -> bool:
-    return (folder / "associations.txt").is_file() and any(folder.glob("*.gt.freiburg"))
+    return is_given(folder / "associations.txt") and any(folder.glob("*.gt.freiburg"))
 
 
 def read(folder: Path, options: ReadOptions) -> Recording:

@@ -16,6 +16,7 @@ import numpy as np
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import COLOR_SUFFIXES, inside, read_color
+from adagmm_fusion.files.input_file import is_given
 from adagmm_fusion.files.json_file import json_number, json_numbers, json_object, read_json
 from adagmm_fusion.files.opencv_nodes import plain_name
 from adagmm_fusion.formats.camera_files import distortion_of
@@ -36,7 +37,7 @@ MILLIMETRES = 1e-3
 
 
 def matches(folder: Path) -> bool:
-    return (folder / TRANSFORMS).is_file()
+    return is_given(folder / TRANSFORMS)
 
 
 def read(folder: Path, options: ReadOptions) -> Recording:

@@ -27,6 +27,7 @@ import numpy as np
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.depth_files import DEPTH_SUFFIXES
 from adagmm_fusion.files.image_files import COLOR_SUFFIXES, inside, load_frame
+from adagmm_fusion.files.input_file import is_given
 from adagmm_fusion.files.strict_yaml import Item, read_yaml
 from adagmm_fusion.formats.options import ReadOptions, listed_images
 from adagmm_fusion.frames.rgbd import RGBDFrame, checked_rigid_transformation
@@ -43,7 +44,7 @@ FRAME_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 
 
 def matches(folder: Path) -> bool:
-    return (folder / MANIFEST).is_file()
+    return is_given(folder / MANIFEST)
 
 
 def read(folder: Path, options: ReadOptions) -> Recording:
@@ -116,7 +117,7 @@ def _find_rig(folder: Path, item: Item) -> Path:
         item.fail(f"expected a file name without folders, got {name!r}")
     places = (folder / name, folder.resolve().parent.parent / "calibration" / name)
     for path in places:
-        if path.is_file():
+        if is_given(path):
             return path
     item.fail(f"{name} is neither in the recording nor at {places[1]}; give the rig file")
 

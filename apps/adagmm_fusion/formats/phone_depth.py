@@ -6,6 +6,7 @@ import numpy as np
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import read_color, read_depth
+from adagmm_fusion.files.input_file import is_given
 
 # ARKit's cameras look along -z with y up; ours along z with y down.
 ARKIT_FROM_RDF = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -20,7 +21,7 @@ def confident_depth(depth_path: Path, confidence_path: Path | None) -> np.ndarra
     RecordingError  naming the file, if an image cannot be used, or the two have different sizes.
     """
     depth = read_depth(depth_path)
-    if confidence_path is None or not confidence_path.exists():
+    if confidence_path is None or not is_given(confidence_path):
         return depth
     return kept_where_confident(depth, read_color(confidence_path)[:, :, 0], confidence_path)
 

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import image_size, inside, load_frame
+from adagmm_fusion.files.input_file import is_given
 from adagmm_fusion.formats.options import ReadOptions, intrinsics_from_matrix
 from adagmm_fusion.formats.text_table import parse_numbers, parse_pose, read_matrix, read_rows
 from adagmm_fusion.recordings.frame_sequence import FrameEntry, PairEntry, Recording, sequential_pairs
@@ -26,7 +27,7 @@ DEPTH_SCALE = 1000.0
 
 
 def matches(folder: Path) -> bool:
-    return all((folder / name).is_file() for name in ("K.txt", "poses.txt", "all_frame_names.txt"))
+    return all(is_given(folder / name) for name in ("K.txt", "poses.txt", "all_frame_names.txt"))
 
 
 def read(folder: Path, options: ReadOptions) -> Recording:
@@ -56,7 +57,7 @@ def read(folder: Path, options: ReadOptions) -> Recording:
         )
         for _, color, depth, pose in present
     )
-    if (folder / "pairs.txt").is_file():
+    if is_given(folder / "pairs.txt"):
         pairs = _read_pairs(folder / "pairs.txt", [name for name, *_ in present])
     else:
         pairs = sequential_pairs(len(entries), options.step)

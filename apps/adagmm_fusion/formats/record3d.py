@@ -23,7 +23,7 @@ import numpy as np
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import decoded_color, inside
-from adagmm_fusion.files.input_file import MAX_BYTES, check_input, read_input
+from adagmm_fusion.files.input_file import MAX_BYTES, check_input, is_given, read_input
 from adagmm_fusion.files.json_file import json_number, json_numbers, json_object, parse_json
 from adagmm_fusion.files.lzfse import decoded_lzfse
 from adagmm_fusion.formats.listed_frames import ListedFrame, recording_of_frames
@@ -43,7 +43,7 @@ MAX_SIZE = 10_000
 def matches(path: Path) -> bool:
     if path.is_file():
         return path.suffix.lower() == ".r3d"
-    return len(list(path.glob("*.r3d"))) == 1 or ((path / "metadata").is_file() and (path / "rgbd").is_dir())
+    return len(list(path.glob("*.r3d"))) == 1 or (is_given(path / "metadata") and (path / "rgbd").is_dir())
 
 
 def read(path: Path, options: ReadOptions) -> Recording:
@@ -120,7 +120,7 @@ def _content(place: Path, name: str, *, optional: bool = False) -> bytes:
     """The bytes of a member of the archive, or of the folder; none where it is missing and optional."""
     if place.is_dir():
         path = inside(place, name, str(place))
-        return b"" if optional and not path.exists() else read_input(path, RecordingError, missing="it is missing")
+        return b"" if optional and not is_given(path) else read_input(path, RecordingError, missing="it is missing")
     check_input(place, RecordingError)
     try:
         with zipfile.ZipFile(place) as archive:

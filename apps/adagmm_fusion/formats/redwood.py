@@ -22,7 +22,7 @@ import numpy as np
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.depth_files import DEPTH_SUFFIXES
 from adagmm_fusion.files.image_files import COLOR_SUFFIXES, inside, load_frame
-from adagmm_fusion.files.input_file import read_input_text
+from adagmm_fusion.files.input_file import is_given, read_input_text
 from adagmm_fusion.formats.options import PRIMESENSE, ReadOptions, intrinsics_from_matrix, listed_images, unpaired_notes
 from adagmm_fusion.formats.text_table import parse_numbers, parse_pose, read_rows
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
@@ -90,7 +90,7 @@ def _read_trajectory(folder: Path, frame_count: int) -> dict[int, np.ndarray]:
 
 
 def _intrinsics_path(folder: Path) -> Path | None:
-    return next((folder / name for name in INTRINSICS_NAMES if (folder / name).is_file()), None)
+    return next((folder / name for name in INTRINSICS_NAMES if is_given(folder / name)), None)
 
 
 def _read_intrinsics(folder: Path) -> PinholeIntrinsics:

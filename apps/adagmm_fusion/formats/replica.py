@@ -13,6 +13,7 @@ from pathlib import Path
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import inside
+from adagmm_fusion.files.input_file import is_given
 from adagmm_fusion.files.json_file import json_number, json_object, read_json
 from adagmm_fusion.formats.listed_frames import ListedFrame, recording_of_frames
 from adagmm_fusion.formats.options import ReadOptions
@@ -28,7 +29,7 @@ INTRINSICS, DEPTH_SCALE = PinholeIntrinsics(1200, 680, 600.0, 600.0, 599.5, 339.
 
 
 def matches(folder: Path) -> bool:
-    return (folder / "traj.txt").is_file() and any((folder / "results").glob("depth*.png"))
+    return is_given(folder / "traj.txt") and any((folder / "results").glob("depth*.png"))
 
 
 def read(folder: Path, options: ReadOptions) -> Recording:
@@ -48,7 +49,7 @@ def read(folder: Path, options: ReadOptions) -> Recording:
 
 def _camera(folder: Path) -> tuple[PinholeIntrinsics, float]:
     path = next(
-        (p / "cam_params.json" for p in (folder, folder.resolve().parent) if (p / "cam_params.json").is_file()), None
+        (p / "cam_params.json" for p in (folder, folder.resolve().parent) if is_given(p / "cam_params.json")), None
     )
     if path is None:
         return INTRINSICS, DEPTH_SCALE

@@ -18,6 +18,7 @@ import numpy as np
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import checked_frame
+from adagmm_fusion.files.input_file import is_given
 from adagmm_fusion.formats.options import ReadOptions
 from adagmm_fusion.formats.ros_cameras import RosBag
 from adagmm_fusion.formats.ros_images import color_image, depth_image, depth_units
@@ -36,7 +37,7 @@ def matches(path: Path) -> bool:
     """ROS 2's files; a .bag is looked into by `video`, which has RealSense's own."""
     if path.is_file():
         return path.suffix.lower() in SUFFIXES
-    return (path / "metadata.yaml").is_file() and any(_rosbag_files(path))
+    return is_given(path / "metadata.yaml") and any(_rosbag_files(path))
 
 
 def read(path: Path, options: ReadOptions) -> Recording:

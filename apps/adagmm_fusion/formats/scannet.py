@@ -16,6 +16,7 @@ import numpy as np
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import COLOR_SUFFIXES, inside, read_color, read_depth
+from adagmm_fusion.files.input_file import is_given
 from adagmm_fusion.formats.camera_files import CameraFile, read_camera_file
 from adagmm_fusion.formats.listed_frames import ListedFrame, recording_of_frames
 from adagmm_fusion.formats.options import ReadOptions, listed_images, unpaired_notes
@@ -68,11 +69,11 @@ def read(folder: Path, options: ReadOptions) -> Recording:
 
 def _pose(folder: Path, name: str) -> np.ndarray | None:
     path = inside(folder, f"pose/{name}.txt", str(folder))
-    return read_pose_file(path) if path.exists() else None
+    return read_pose_file(path) if is_given(path) else None
 
 
 def _file(folder: Path, name: str) -> Path | None:
-    return next((path for path in (folder / "intrinsic" / name, folder / name) if path.is_file()), None)
+    return next((path for path in (folder / "intrinsic" / name, folder / name) if is_given(path)), None)
 
 
 def _camera(folder: Path, name: str) -> CameraFile | None:

@@ -17,6 +17,7 @@ import numpy as np
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import COLOR_SUFFIXES, inside, read_color
+from adagmm_fusion.files.input_file import is_given
 from adagmm_fusion.files.video_file import video_picture
 from adagmm_fusion.formats.listed_frames import ListedFrame, recording_of_frames
 from adagmm_fusion.formats.options import ReadOptions, intrinsics_from_matrix, listed_images
@@ -30,7 +31,7 @@ SENSOR = "phone"
 
 
 def matches(folder: Path) -> bool:
-    return (folder / "odometry.csv").is_file() and (folder / "camera_matrix.csv").is_file()
+    return is_given(folder / "odometry.csv") and is_given(folder / "camera_matrix.csv")
 
 
 def read(folder: Path, options: ReadOptions) -> Recording:

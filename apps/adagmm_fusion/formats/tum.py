@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import inside, load_frame
-from adagmm_fusion.files.input_file import read_input_text
+from adagmm_fusion.files.input_file import is_given, read_input_text
 from adagmm_fusion.formats.options import ReadOptions
 from adagmm_fusion.formats.text_table import parse_numbers, read_rows
 from adagmm_fusion.formats.time_units import units_per_second
@@ -47,12 +47,12 @@ INTRINSICS = {
 
 
 def matches(folder: Path) -> bool:
-    return (folder / "rgb.txt").is_file() and (folder / "depth.txt").is_file()
+    return is_given(folder / "rgb.txt") and is_given(folder / "depth.txt")
 
 
 def read(folder: Path, options: ReadOptions) -> Recording:
     (colors, _), (depths, depth_units) = _read_stamps(folder, "rgb.txt"), _read_stamps(folder, "depth.txt")
-    if (folder / "associations.txt").is_file():
+    if is_given(folder / "associations.txt"):
         associations = _read_associations(folder, depths)
     else:
         associations = _associate(folder, colors, depths)
@@ -72,7 +72,7 @@ def read(folder: Path, options: ReadOptions) -> Recording:
         )
         for (stamp, color, depth), pose in zip(present, poses, strict=True)
     )
-    if (folder / "pairs.txt").is_file():
+    if is_given(folder / "pairs.txt"):
         pairs = _read_pairs(folder / "pairs.txt", stamps, depth_units)
     else:
         pairs = sequential_pairs(len(entries), options.step)
@@ -132,7 +132,7 @@ def _associate(
 
 def _poses_at(path: Path, stamps: np.ndarray) -> list[np.ndarray | None]:
     """T_world_camera at each time, None outside the trajectory and in its gaps."""
-    if not path.is_file():
+    if not is_given(path):
         return [None] * len(stamps)
     rows = []
     for where, words in read_rows(path):

@@ -18,6 +18,7 @@ import numpy as np
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import checked_frame, image_size, inside, read_color
+from adagmm_fusion.files.input_file import is_given
 from adagmm_fusion.formats.matlab_file import read_variable
 from adagmm_fusion.formats.options import ReadOptions, intrinsics_from_matrix
 from adagmm_fusion.formats.text_table import parse_pose, read_matrix
@@ -36,7 +37,7 @@ DEPTH_NAME = re.compile(r"depth(\d+)_(\d+)\.mat")
 
 
 def matches(folder: Path) -> bool:
-    return (folder / CALIBRATION).is_file()
+    return is_given(folder / CALIBRATION)
 
 
 def read(folder: Path, options: ReadOptions) -> Recording:
@@ -114,7 +115,7 @@ def _sensor_poses(reference: Path, sensors: list[int], options: ReadOptions) -> 
     if options.rig is not None:
         return {sensor: options.sensor_pose(f"camera{sensor}") for sensor in sensors}
     poses = dict.fromkeys(sensors)
-    if reference.is_file():
+    if is_given(reference):
         T_cam2_cam1 = parse_pose(read_matrix(reference, 4, 4), str(reference))
         poses |= {1: np.eye(4), 2: se_inverse(T_cam2_cam1)}
     return poses

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from adagmm_fusion.errors import RecordingError, RigError
-from adagmm_fusion.files.input_file import read_input
+from adagmm_fusion.files.input_file import is_given, read_input
 from adagmm_fusion.formats.matlab_file import read_variable, variable_names
 from adagmm_fusion.rigs.colmap import read_colmap
 from adagmm_fusion.rigs.imported import ImportedSensor
@@ -32,10 +32,10 @@ def read_rig_file(
     RigError  naming the file, and what is missing or wrong, or that it is none of these.
     """
     path = Path(path)
-    if path.is_dir() and (path / "cameras.txt").is_file():
+    if path.is_dir() and is_given(path / "cameras.txt"):
         return read_colmap(path, metres_per_unit)
     suffix = path.suffix.lower()
-    if suffix in BAGS or (path.is_dir() and (path / "metadata.yaml").is_file()):
+    if suffix in BAGS or (path.is_dir() and is_given(path / "metadata.yaml")):
         return read_ros_bag_rig(path)
     if suffix == ".mat":
         return _read_matlab(path, metres_per_unit, size)

@@ -7,7 +7,6 @@ import os
 import platform
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from importlib.metadata import version
 from pathlib import Path
 
 from rich.console import Console
@@ -18,13 +17,14 @@ from adagmm_bench.methods import METHODS
 from adagmm_bench.problem import PREPARATIONS
 from adagmm_bench.summary import Summary
 from adagmm_fusion.files.atomic_file import write_text
+from adagmm_fusion.package_versions import package_version
 from adagmm_fusion.processes.terminal import printable
 
 
 def machine_note() -> str:
     """The processor, the number of cores this process may use, and the versions that matter."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    versions = ", ".join(f"{name} {version(name)}" for name in ("open3d", "numpy", "numba"))
+    versions = ", ".join(f"{name} {package_version(name)}" for name in ("open3d", "numpy", "numba"))
     return f"{_processor()}, {cores} cores, {platform.system()}, Python {platform.python_version()}, {versions}"
 
 

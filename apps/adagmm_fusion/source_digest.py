@@ -3,8 +3,9 @@
 import hashlib
 import importlib.util
 from functools import cache
-from importlib import metadata
 from pathlib import Path
+
+from adagmm_fusion.package_versions import package_version
 
 
 @cache
@@ -21,12 +22,5 @@ def source_digest(*modules: str, distributions: tuple[str, ...] = ()) -> str:
         for path in paths:
             digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
     for name in distributions:
-        digest.update(f"{name} {_version(name)}".encode())
+        digest.update(f"{name} {package_version(name)}".encode())
     return digest.hexdigest()[:12]
-
-
-def _version(distribution: str) -> str:
-    try:
-        return metadata.version(distribution)
-    except metadata.PackageNotFoundError:  # another one may bring the same modules
-        return "absent"

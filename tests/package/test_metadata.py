@@ -2,11 +2,16 @@
 
 import re
 import tomllib
+from importlib import metadata
 from pathlib import Path
 
 import pytest
 
 import adagmm_o3d
+from adagmm_bench.report import machine_note
+from adagmm_fusion.package_versions import package_version
+from adagmm_fusion.pairs import report
+from adagmm_fusion.source_digest import source_digest
 from adagmm_o3d.lazy_open3d import LIBRARIES
 
 ROOT = Path(__file__).parents[2]
@@ -120,6 +125,24 @@ def test_what_is_checked_before_a_commit_is_what_the_tests_check():
         assert f".venv/bin/{hooks.pop(tool)}" in run, tool
     assert hooks == {"notebooks": "python examples/make_notebooks.py"}
     assert (ROOT / hooks["notebooks"].split()[1]).is_file()
+
+
+def test_either_package_of_open3d_will_do(monkeypatch):
+    """What is kept of a bench or a fusion depends on its version, whichever of the two is installed."""
+    found = {"open3d-cpu": "0.20.0", "numpy": "2.0.0", "numba": "0.63.0"}
+
+    def version(name):
+        if name not in found:
+            raise metadata.PackageNotFoundError(name)
+        return found[name]
+
+    monkeypatch.setattr(metadata, "version", version)
+    assert package_version("open3d") == "0.20.0" and package_version("rerun-sdk") == "absent"
+    assert "open3d 0.20.0, numpy 2.0.0" in machine_note()
+    assert report.versions()["open3d"] == "0.20.0"
+    before = source_digest.__wrapped__("adagmm_fusion.errors", distributions=("open3d",))
+    found["open3d-cpu"] = "0.21.0"
+    assert source_digest.__wrapped__("adagmm_fusion.errors", distributions=("open3d",)) != before
 
 
 def test_the_libraries_of_the_system_are_the_same_wherever_they_are_named():

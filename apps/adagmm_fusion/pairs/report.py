@@ -4,17 +4,16 @@ import json
 import platform
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
-import open3d as o3d
 from rich.box import HEAVY_HEAD, SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
 from adagmm_fusion.files.atomic_file import write_text
 from adagmm_fusion.files.markdown import link, plain
+from adagmm_fusion.package_versions import package_version
 from adagmm_fusion.pairs.record import PairRecord
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.pairs.stages import Stage
@@ -199,10 +198,7 @@ def write_report(folder: Path, report: Report) -> tuple[Path, Path]:
 
 def versions() -> dict[str, str]:
     """Python's, and those of the packages a result may depend on."""
-    # Open3D comes in one of two packages: open3d or open3d-cpu.
-    return {"python": platform.python_version()} | {
-        name: o3d.__version__ if name == "open3d" else metadata.version(name) for name in PACKAGES
-    }
+    return {"python": platform.python_version()} | {name: package_version(name) for name in PACKAGES}
 
 
 def _row(record: PairRecord) -> list[str]:

@@ -1,12 +1,11 @@
 """What a recording is of, and how it was made: shown by the viewer beside its name."""
 
 from collections.abc import Mapping, Sequence
-from importlib import metadata
 
 import numpy as np
-import open3d as o3d
 import rerun as rr
 
+from adagmm_fusion.package_versions import package_version
 from adagmm_fusion.pairs.record import PairRecord
 from adagmm_fusion.rerun_log.words import shown
 
@@ -30,11 +29,7 @@ def log_recording_properties(
     )
     if parameters:
         rec.send_property("parameters", rr.AnyValues(**{name: shown(value) for name, value in parameters.items()}))
-    # Open3D comes in one of two packages: open3d or open3d-cpu.
-    versions = {
-        package.replace("-", "_"): o3d.__version__ if package == "open3d" else metadata.version(package)
-        for package in PACKAGES
-    }
+    versions = {package.replace("-", "_"): package_version(package) for package in PACKAGES}
     rec.send_property("versions", rr.AnyValues(**versions))
 
 

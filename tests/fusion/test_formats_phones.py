@@ -12,6 +12,7 @@ from folder_layouts import write_polycam, write_record3d, write_scanner_app, wri
 from adagmm_fusion.clouds.building import dense_cloud
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.lzfse import decoded_lzfse
+from adagmm_fusion.formats import record3d
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.recordings.opening import open_recording
 from adagmm_fusion.rigs.extrinsics import extrinsics_notes
@@ -98,6 +99,28 @@ def test_record3d_as_an_archive(tmp_path):
                 entry.load()
         except RecordingError as problem:
             assert f"damaged{number}" in str(problem) and "\n" not in str(problem)
+
+
+def test_the_members_of_an_archive_are_listed_once(tmp_path, monkeypatch):
+    """Not for each frame: of a scan of minutes there are tens of thousands. A file that has changed is opened anew."""
+    write_record3d(tmp_path / "inside", POSES, PHONE)
+    opened, Archive = [], zipfile.ZipFile
+
+    class Counting(Archive):
+        def __init__(self, file):
+            opened.append(file)
+            super().__init__(file)
+
+    monkeypatch.setattr(record3d.zipfile, "ZipFile", Counting)
+    for times in (1, 2):
+        with Archive(tmp_path / "scan.r3d", "w") as archive:
+            for path in sorted((tmp_path / "inside").rglob("*")):
+                archive.write(path, path.relative_to(tmp_path / "inside"))
+            archive.writestr("more", b"x" * times)
+        opened.clear()
+        for entry in open_recording(tmp_path / "scan.r3d").entries:
+            entry.load()
+        assert opened == [tmp_path / "scan.r3d"]
 
 
 def test_intrinsics_of_each_frame_of_record3d(tmp_path):

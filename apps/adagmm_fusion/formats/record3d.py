@@ -13,9 +13,10 @@ The file is a ZIP archive; a folder with one such file, or with what it holds, i
 Source: Record3D's own documentation of the format.
 """
 
+import os
 import zipfile
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -123,15 +124,24 @@ def _content(place: Path, name: str, *, optional: bool = False) -> bytes:
         return b"" if optional and not is_given(path) else read_input(path, RecordingError, missing="it is missing")
     check_input(place, RecordingError)
     try:
-        with zipfile.ZipFile(place) as archive:
-            if name not in archive.namelist():
-                if optional:
-                    return b""
-                raise RecordingError(f"{place}: {name}: is missing in it; share it from Record3D again")
-            if archive.getinfo(name).file_size > MAX_BYTES:
-                raise RecordingError(f"{place}: {name}: expected at most {MAX_BYTES >> 20} MiB")
-            return archive.read(name)
+        status = place.stat()
+        archive = _open(place, status.st_mtime_ns, status.st_size, os.getpid())
+        try:
+            member = archive.getinfo(name)
+        except KeyError:
+            if optional:
+                return b""
+            raise RecordingError(f"{place}: {name}: is missing in it; share it from Record3D again") from None
+        if member.file_size > MAX_BYTES:
+            raise RecordingError(f"{place}: {name}: expected at most {MAX_BYTES >> 20} MiB")
+        return archive.read(member)
     except RecordingError:
         raise
     except Exception as problem:  # zipfile raises whatever the damage leads to
         raise RecordingError(f"{place}: {name}: the archive is damaged or cut off: {problem}") from problem
+
+
+@lru_cache(maxsize=4)
+def _open(place: Path, modified_ns: int, size: int, process: int) -> zipfile.ZipFile:
+    """An archive whose list of members is read once, not for each of them; a forked process opens its own."""
+    return zipfile.ZipFile(place)

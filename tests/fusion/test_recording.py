@@ -73,6 +73,21 @@ def test_frames_with_timestamps_and_pairs_across_time(fixed):
     np.testing.assert_allclose(pair.T_target_source, se_inverse(POSES["left"]) @ POSES["right"], rtol=0, atol=1e-15)
 
 
+@pytest.mark.parametrize(
+    ("pairs", "message"),
+    [
+        ("{source: left/000000, target: left/000000}", "pair 000000_to_000000: expected two frames, got one as both"),
+        (", ".join(["{source: right/000000, target: left/000000}"] * 2), "two pairs are 000000_right_to_left; list"),
+    ],
+)
+def test_a_pair_is_of_two_frames_and_listed_once(fixed, pairs, message):
+    """An image fits itself, which says nothing; results of one name would replace each other."""
+    with open(fixed / "recording.yaml", "a") as file:
+        file.write(f"pairs: [{pairs}]\n")
+    with pytest.raises(RecordingError, match=message):
+        open_recording(fixed)
+
+
 def test_three_sensors_make_two_pairs_a_frame(fixed):
     paths = (fixed / "top" / kind / "000000.png" for kind in ("color", "depth"))
     write_images(*paths, INTRINSICS, POSES["top"], 1000)

@@ -69,7 +69,7 @@ class Recording:
 
     Raises
     ------
-    RecordingError  if there is no pair, or a name cannot be printed.
+    RecordingError  if there is no pair, one of a frame with itself, or two of one name, or a name cannot be printed.
     """
 
     name: str
@@ -89,6 +89,16 @@ class Recording:
                 f"{self.path}: no pair of frames to register, there is {len(self.entries)} frame(s) in all; "
                 "record more, or take a smaller step" + "".join(f"; {note}" for note in self.notes)
             )
+        names = set()
+        for index, pair in enumerate(self.pairs):
+            name = self.pair_name(index)
+            if pair.source == pair.target:
+                raise RecordingError(f"{self.path}: pair {name}: expected two frames, got one as both")
+            if name in names:  # its results would take the place of the other's
+                raise RecordingError(
+                    f"{self.path}: two pairs are {name}; list each once, with frames of different names"
+                )
+            names.add(name)
 
     @property
     def sensors(self) -> tuple[str, ...]:

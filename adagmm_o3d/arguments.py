@@ -44,7 +44,8 @@ def float_array(name: str, value: Any, shape: tuple[Extent, ...], *, finite: boo
         raise InputTypeError(f"{name}: expected an array of real numbers, got {got}")
     if array.ndim != len(shape) or not all(map(_fits, array.shape, shape)):
         raise InputError(f"{name}: expected shape {_shown(shape)}, got {_shown(array.shape)}")
-    array = np.ascontiguousarray(array, dtype=np.float64)
+    with np.errstate(over="ignore"):  # a long double beyond float64 becomes infinite, and is refused as that
+        array = np.ascontiguousarray(array, dtype=np.float64)
     if finite and not np.isfinite(array).all():
         index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         got = f"{array[index]} at index {_shown(index)}"

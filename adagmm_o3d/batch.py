@@ -55,6 +55,8 @@ def register_batch(
     InputTypeError, InputError, DeviceError : what is no pair, or an argument out of its range.
     """
     check_device(device)
+    if not isinstance(pairs, Iterable):
+        raise InputTypeError(f"pairs: expected (source, target) pairs, got {type(pairs).__name__}")
     jobs = [_job(f"pairs[{k}]", pair, arguments | {"device": device}) for k, pair in enumerate(pairs)]
     if threads is not None:
         threads = whole_number("threads", threads, minimum=1)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.errors import DegenerateError, InputError
+from adagmm_o3d.kernels.limits import SMALLEST
 
 MIN_POINTS = 3
 # A sensor model may fail at a point now and then (the Kinect data has one in thousands); more is a mistake upstream.
@@ -64,7 +65,7 @@ def typical_variance(name: str, largest: Array) -> float:
 
     `largest` (n,) are the largest variances of all points. Raises if there is none above zero.
     """
-    positive = largest[largest > 0.0]
+    positive = largest[largest >= SMALLEST]
     if len(positive) == 0:
         raise InputError(f"{name}.covariances: all {len(largest)} are zero; leave them out if nothing is known")
     return float(np.median(positive))

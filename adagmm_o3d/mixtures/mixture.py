@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adagmm_o3d.arguments import Array, float_array
 from adagmm_o3d.errors import InputError
-from adagmm_o3d.kernels.limits import EPSILON, ROUNDING, THINNEST
+from adagmm_o3d.kernels.limits import EPSILON, ROUNDING, SMALLEST, THINNEST
 from adagmm_o3d.mixtures.checks import (
     check_count,
     check_not_empty,
@@ -271,7 +271,7 @@ def _make_definite(name: str, c: Array, usable: NDArray[np.bool_]) -> tuple[Arra
         eigenvalues = _principal_variances(c)
         least, largest = eigenvalues[:, 0], eigenvalues[:, -1]
     _refuse(refuse_indefinite, name, least < -ROUNDING * np.maximum(largest, -least), usable)
-    empty = largest <= 0.0
+    empty = largest < SMALLEST
     flat = (least < THINNEST * largest) & ~empty
     if not (empty.any() or flat.any()):
         return c, eigenvalues, 0

@@ -84,6 +84,7 @@ ARRAY_CASES = [
     (np.zeros((N, 4)), InputError, "points: expected shape (n, 2 or 3), got (60, 4)"),
     (np.zeros((1, N, 3)), InputError, "points: expected shape (n, 2 or 3), got (1, 60, 3)"),
     (1e150 * POINTS[3], InputError, "points: expected coordinates up to 1e+140, got 1."),
+    (POINTS[3] * np.longdouble("1e4000"), InputError, "points: 60 of 60 points are not finite, the first at index 0"),
     (1e-150 * POINTS[3], InputError, "points: expected an extent of 1e-140 or more, got 1."),
 ]
 ARRAY_COVARIANCE_CASES = [

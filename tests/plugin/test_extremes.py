@@ -204,6 +204,23 @@ def test_covariances_of_any_size(cloud, rule, scale, isotropic):
     assert_right_or_doubted(result, T)
 
 
+@pytest.mark.parametrize("isotropic", [True, False])
+@pytest.mark.parametrize("scale", [5e-324, 1e-320, 1e-309])
+def test_covariances_too_small_for_digits_are_none(cloud, scale, isotropic):
+    """Some of them: as zeros, given what is typical. All of them: refused as zeros are."""
+    points, T = cloud
+    covariances = np.tile(np.eye(3) if isotropic else np.diag([1.0, 1.0, 0.01]), (N, 1, 1))
+    small = covariances.copy()
+    small[:5] *= scale
+    result = register_points(points, move(points, T), small, covariances)
+    assert result.regularised_source == 5
+    zeros = np.where(np.arange(N)[:, None, None] < 5, 0.0, covariances)
+    same = register_points(points, move(points, T), zeros, covariances)
+    assert np.array_equal(result.transformation, same.transformation)
+    with pytest.raises(InputError, match=f"source.covariances: all {N} are zero"):
+        register_points(points, move(points, T), scale * covariances, covariances)
+
+
 @rules
 @pytest.mark.parametrize("factor", [1e-300, 1e-12, 1e12, 1e300])
 def test_covariances_of_very_different_sizes(cloud, rule, factor):

@@ -252,6 +252,7 @@ def test_a_pair_that_fails_leaves_the_others():
 @pytest.mark.parametrize(
     ("pairs", "arguments", "message"),
     [
+        (5, {}, r"pairs: expected \(source, target\) pairs, got int"),
         ([np.eye(3)], {}, r"pairs\[0\]: expected a tuple"),
         ([(np.eye(3),)], {}, r"pairs\[0\]: expected a tuple .* got 1 of them"),
         ([{"source": np.eye(3)}], {}, r"pairs\[0\]: .* got no target"),

@@ -10,7 +10,7 @@ from numba import float64
 
 from adagmm_o3d.kernels.cuda.clouds.eigen import eigen
 from adagmm_o3d.kernels.cuda.front_end import TILE, cuda, exact, kernel, source_stamp
-from adagmm_o3d.kernels.limits import EPSILON, ROUNDING, THINNEST
+from adagmm_o3d.kernels.limits import EPSILON, ROUNDING, SMALLEST, THINNEST
 
 COVARIANCE, VARIANCE, LARGEST = 3, 9, 10
 POINT_ROWS = 11
@@ -63,7 +63,7 @@ def _build(given, stamp):
                         skew = max(skew, abs(float64(covariances[i, k, j]) - float64(covariances[i, j, k])))
                 if skew > ROUNDING * size:
                     found = CROOKED
-                elif size == 0.0:
+                elif size < SMALLEST:
                     found = EMPTY
                     c00 = c11 = c22 = variance = largest = 0.0
             if found == FINE:

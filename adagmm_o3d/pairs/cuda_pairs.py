@@ -74,14 +74,14 @@ ISOTROPIC = _Kernels(
     scores.score_sums_of_source_isotropic,
     scores.score_sums_of_target_isotropic,
 )
-ANISOTROPIC = _Kernels(
-    moving.move_anisotropic,
-    adaptive_rows.adaptive_rows_anisotropic,
-    convolved_rows.convolved_rows_anisotropic,
-    convolved_columns.convolved_columns_anisotropic,
-    convolved_rows.coloured_rows_anisotropic,
-    convolved_columns.coloured_columns_anisotropic,
-    reductions.reduce_adaptive_anisotropic,
+FULL = _Kernels(
+    moving.move_full,
+    adaptive_rows.adaptive_rows_full,
+    convolved_rows.convolved_rows_full,
+    convolved_columns.convolved_columns_full,
+    convolved_rows.coloured_rows_full,
+    convolved_columns.coloured_columns_full,
+    reductions.reduce_adaptive_full,
     scores.score_sums_of_source,
     scores.score_sums_of_target,
 )
@@ -115,7 +115,7 @@ class CudaPairLoop:
     def __init__(self, source: Mixture, target: Mixture) -> None:
         self._mixtures = source, target
         isotropic = source.isotropic and target.isotropic
-        self._kernels = ISOTROPIC if isotropic else ANISOTROPIC
+        self._kernels = ISOTROPIC if isotropic else FULL
         self._planar = source.dimension == 2
         self._unit = LOG2_SCALE ** (1.0 if self._planar else 1.5)  # |Σ|^(-1/2) in powers of two
         self._source, self._target = make_side(source, isotropic), make_side(target, isotropic)

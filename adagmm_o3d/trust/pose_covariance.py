@@ -33,7 +33,7 @@ from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.m_step import FREE
 from adagmm_o3d.em.runs import inverse_of
 from adagmm_o3d.em.unmatched import uniform_density
-from adagmm_o3d.kernels.cpu.scores import Reach, ScoredPoints, score_sums
+from adagmm_o3d.kernels.cpu.scores import Hues, Reach, ScoredPoints, score_sums
 from adagmm_o3d.kernels.layout import CURVATURE, POINT_SUMS, SCORE, SENSITIVITY
 from adagmm_o3d.lie import hat, se_adjoint
 from adagmm_o3d.mixtures.colours import ColourModel
@@ -296,7 +296,7 @@ def _score_sums(
     hues = None
     if fit.colour is not None:
         assert own.colours is not None and other.colours is not None
-        hues = (
+        hues = Hues(
             fit.colour.scaled(own.colours, of_source=own_is_source),
             fit.colour.scaled(other.colours, of_source=not own_is_source),
             fit.colour.floor,

@@ -6,7 +6,7 @@ import reference
 from mixtures import random_colours, random_points_and_covariances
 
 from adagmm_o3d.em.m_step import FREE
-from adagmm_o3d.kernels.cpu.scores import Reach, ScoredPoints, score_sums
+from adagmm_o3d.kernels.cpu.scores import Hues, Reach, ScoredPoints, score_sums
 from adagmm_o3d.kernels.layout import CURVATURE, POINT_SUMS, SCORE, SENSITIVITY
 from adagmm_o3d.lie import se_exp
 
@@ -113,7 +113,7 @@ def test_a_pair_counts_as_far_as_its_colours_agree(dimension, own_is_source):
     p = Pairs(dimension)
     colours, model = random_colours(5, 7)
     moved, still = model.scaled(colours[0], of_source=True), model.scaled(colours[1], of_source=False)
-    hues = *((moved, still) if own_is_source else (still, moved)), model.floor, model.expected
+    hues = Hues(*((moved, still) if own_is_source else (still, moved)), model.floor, model.expected)
     p.check(p.sums(own_is_source, hues=hues), own_is_source, reference.colour_ratios(*colours, model))
 
 

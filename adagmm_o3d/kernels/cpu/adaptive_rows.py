@@ -39,7 +39,7 @@ class AdaptiveTarget(NamedTuple):
 
 
 @njit(**FLAGS)
-def rows_anisotropic(target, i, j, count, y, turned, rows):
+def rows_full(target, i, j, count, y, turned, rows):
     """Add to `rows` (layout.ROW_SUMS, points) the pairs of `count` source points `y` (3, points), their precisions
     `turned` (points, 6), with the target points i..j."""
     x, a, amplitudes = target
@@ -192,7 +192,7 @@ def _build(stamp):
                     if isotropic:
                         rows_isotropic(target, i, j, m1 - m0, y, turned, weights, rows)
                     else:
-                        rows_anisotropic(target, i, j, m1 - m0, y, turned, rows)
+                        rows_full(target, i, j, m1 - m0, y, turned, rows)
                 finish_rows(rows, m0, m1, amplitudes, turned, row_weights)
                 add_rows(rows, m1 - m0, amplitudes[m0:m1], y, total)
 

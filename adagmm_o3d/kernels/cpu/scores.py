@@ -38,6 +38,16 @@ class Reach(NamedTuple):
     cut: float
 
 
+class Hues(NamedTuple):
+    """Colours of the K points and of the n others, (K, 3) and (n, 3), whose squared difference is an exponent; cap, the
+    most that it can be; expected, the mean of the exponential over unrelated pairs, see `mixtures.colours`."""
+
+    own: Array
+    other: Array
+    cap: float
+    expected: float
+
+
 class Likelihood(NamedTuple):
     """Of one pair: its weight, per unit of c; what its colours make of c, 1 without any; and the share of the other
     point in the density at this one."""
@@ -135,8 +145,7 @@ def _build(stamp):
 
         own, other : `ScoredPoints`; a pair weighs the product of both weights and of c.   within : `Reach`.
         shares : (n,) what a point of `other` adds to a density, per unit of c.
-        hues : colours of both (K, 3) and (n, 3) of which the squared difference is an exponent, where it is capped, and
-        the mean of the exponential over unrelated pairs, see `mixtures.colours`; None where they do not count.
+        hues : `Hues`, or None where colours do not count.
         """
         _ = stamp
         points, covariances, variances, weights = own
@@ -155,8 +164,9 @@ def _build(stamp):
                 weight = weights[i] * other_weights[k]
                 likeness = 1.0
                 if hues is not None:
-                    h, o = hues[0][i], hues[1][k]
-                    likeness = math.exp(-capped_distance(h[0], h[1], h[2], o[0], o[1], o[2], hues[2])) / hues[3]
+                    h, o = hues.own[i], hues.other[k]
+                    unlike = capped_distance(h[0], h[1], h[2], o[0], o[1], o[2], hues.cap)
+                    likeness = math.exp(-unlike) / hues.expected
                 likelihood = Likelihood(weight, likeness, shares[k])
                 this, that = (p, covariances[i]), (x, other_covariances[k])
                 if own_is_source:

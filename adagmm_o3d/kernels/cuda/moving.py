@@ -2,11 +2,13 @@
 
 from numba import float32
 
-from adagmm_o3d.kernels.cuda.front_end import F0, F1, TILE, cuda, exact_formulas, kernel, source_stamp
-from adagmm_o3d.kernels.cuda.tiles import BOX_VARIANCE, extreme
-from adagmm_o3d.kernels.layout import MATRIX, SHARE
+from adagmm_o3d.kernels.cuda.front_end import F0, F1, TILE, cuda, exact, exact_formulas, kernel, source_stamp
+from adagmm_o3d.kernels.cuda.tiles import BOX_VARIANCE, extreme, isotropic_matrix_of, packed_matrix_of, point_of
+from adagmm_o3d.kernels.cuda.tuples import column_storer
+from adagmm_o3d.kernels.layout import MATRIX, SHARE, X
 
 rotate_point, rotate_symmetric = exact_formulas.rotate_point, exact_formulas.rotate_symmetric
+store_packed = column_storer(6, exact)
 
 
 def _build(isotropic, stamp):
@@ -19,29 +21,18 @@ def _build(isotropic, stamp):
         corners = cuda.shared.array((TILE, 6), float32)
         tile = cuda.blockIdx.x
         t = cuda.threadIdx.x
-        x, y, z = rotate_point(pose, source[tile, 0, t], source[tile, 1, t], source[tile, 2, t])
-        moved[tile, 0, t] = x
-        moved[tile, 1, t] = y
-        moved[tile, 2, t] = z
+        p = point_of(source, tile, t)
+        x, y, z = rotate_point(pose, p.x, p.y, p.z)
+        moved[tile, X, t] = x
+        moved[tile, X + 1, t] = y
+        moved[tile, X + 2, t] = z
         moved[tile, SHARE, t] = source[tile, SHARE, t]
         if isotropic:
-            moved[tile, MATRIX, t] = source[tile, MATRIX, t] * scale
+            moved[tile, MATRIX, t] = isotropic_matrix_of(source, tile, t, scale)
         else:
-            p0, p1, p2, p3, p4, p5 = rotate_symmetric(
-                pose,
-                source[tile, MATRIX, t] * scale,
-                source[tile, MATRIX + 1, t] * scale,
-                source[tile, MATRIX + 2, t] * scale,
-                source[tile, MATRIX + 3, t] * scale,
-                source[tile, MATRIX + 4, t] * scale,
-                source[tile, MATRIX + 5, t] * scale,
-            )
-            moved[tile, MATRIX, t] = p0
-            moved[tile, MATRIX + 1, t] = p1
-            moved[tile, MATRIX + 2, t] = p2
-            moved[tile, MATRIX + 3, t] = p3
-            moved[tile, MATRIX + 4, t] = p4
-            moved[tile, MATRIX + 5, t] = p5 + (F1 if planar else F0)
+            b = packed_matrix_of(source, tile, t, scale)
+            p0, p1, p2, p3, p4, p5 = rotate_symmetric(pose, b.xx, b.xy, b.xz, b.yy, b.yz, b.zz)
+            store_packed(moved[tile], MATRIX, t, (p0, p1, p2, p3, p4, p5 + (F1 if planar else F0)))
         corners[t, 0] = x
         corners[t, 1] = y
         corners[t, 2] = z
@@ -58,4 +49,4 @@ def _build(isotropic, stamp):
 
 
 move_isotropic = _build(True, source_stamp())
-move_anisotropic = _build(False, source_stamp())
+move_full = _build(False, source_stamp())

@@ -71,11 +71,8 @@ def _build(stamp):
             for k in range(TILE):
                 worst = max(worst, per_thread[k])
             tile = first + t * shares
-            found = 0
-            if tile < count and tile != start and gap_sq(moved_boxes, own, target_boxes, tile) < worst:
-                found = 1
-            near[t] = found
-            if cuda.syncthreads_or(found) == 0:
+            near[t] = tile < count and tile != start and gap_sq(moved_boxes, own, target_boxes, tile) < worst
+            if cuda.syncthreads_or(near[t]) == 0:
                 continue
             for k in range(TILE):
                 if near[k] == 0:

@@ -5,14 +5,15 @@ The shares of the other cloud are added up for each point, the points of a tile 
 
 from numba import float64
 
-from adagmm_o3d.kernels.cuda.adaptive_rows import NOTHING as NO_ADAPTIVE
-from adagmm_o3d.kernels.cuda.convolved_rows import NOTHING as NO_CONVOLVED
+from adagmm_o3d.kernels.cuda.adaptive_rows import ROWS as ADAPTIVE_ROWS
 from adagmm_o3d.kernels.cuda.convolved_rows import ROW_DENSITY
-from adagmm_o3d.kernels.cuda.front_end import F0, TILE, cuda, exact, exact_formulas, kernel, source_stamp
+from adagmm_o3d.kernels.cuda.convolved_rows import ROWS as CONVOLVED_ROWS
+from adagmm_o3d.kernels.cuda.front_end import F0, F1, TILE, cuda, exact, exact_formulas, kernel, source_stamp
+from adagmm_o3d.kernels.cuda.tiles import Packed, isotropic_matrix_of, packed_matrix_of, point_of
+from adagmm_o3d.kernels.cuda.tuples import adder, column_loader, column_storer
 from adagmm_o3d.kernels.layout import (
     ENERGY,
     HESSIAN,
-    MATRIX,
     PRECISION,
     PULL,
     TORQUE,
@@ -31,82 +32,24 @@ ADDERS = 4 * TILE
 PADDED = TILE + 1
 
 
-@exact
-def summed_adaptive(rows, m):
-    """The sums of point m over all shares, side by side, so that the loads do not wait for each other."""
-    s = NO_ADAPTIVE
-    for share in range(rows.shape[0]):
-        s = (
-            s[0] + rows[share, 0, m],
-            s[1] + rows[share, 1, m],
-            s[2] + rows[share, 2, m],
-            s[3] + rows[share, 3, m],
-            s[4] + rows[share, 4, m],
-            s[5] + rows[share, 5, m],
-            s[6] + rows[share, 6, m],
-            s[7] + rows[share, 7, m],
-            s[8] + rows[share, 8, m],
-            s[9] + rows[share, 9, m],
-            s[10] + rows[share, 10, m],
-            s[11] + rows[share, 11, m],
-            s[12] + rows[share, 12, m],
-            s[13] + rows[share, 13, m],
-        )
-    return s
+def _build_summed(count):
+    """(rows, m) → the `count` sums of point m over all shares, side by side, so that the loads do not wait for each
+    other."""
+    add, load = adder(count, exact), column_loader(count, exact)
+    nothing = (0.0,) * count
+
+    @exact
+    def summed(rows, m):
+        s = nothing
+        for share in range(rows.shape[0]):
+            s = add(s, load(rows[share], 0, m))
+        return s
+
+    return summed
 
 
-@exact
-def summed_convolved(rows, m):
-    """The same for the sums of `convolved_rows`."""
-    s = NO_CONVOLVED
-    for share in range(rows.shape[0]):
-        s = (
-            s[0] + rows[share, 0, m],
-            s[1] + rows[share, 1, m],
-            s[2] + rows[share, 2, m],
-            s[3] + rows[share, 3, m],
-            s[4] + rows[share, 4, m],
-            s[5] + rows[share, 5, m],
-            s[6] + rows[share, 6, m],
-            s[7] + rows[share, 7, m],
-            s[8] + rows[share, 8, m],
-            s[9] + rows[share, 9, m],
-            s[10] + rows[share, 10, m],
-            s[11] + rows[share, 11, m],
-        )
-    return s
-
-
-@exact
-def store_normal_equations(sums, t, terms):
-    """The 27 `terms` of point t into layout.HESSIAN to TOTAL_WEIGHT; a tuple has no index at run time."""
-    sums[HESSIAN, t] = terms[0]
-    sums[HESSIAN + 1, t] = terms[1]
-    sums[HESSIAN + 2, t] = terms[2]
-    sums[HESSIAN + 3, t] = terms[3]
-    sums[HESSIAN + 4, t] = terms[4]
-    sums[HESSIAN + 5, t] = terms[5]
-    sums[HESSIAN + 6, t] = terms[6]
-    sums[HESSIAN + 7, t] = terms[7]
-    sums[HESSIAN + 8, t] = terms[8]
-    sums[HESSIAN + 9, t] = terms[9]
-    sums[HESSIAN + 10, t] = terms[10]
-    sums[HESSIAN + 11, t] = terms[11]
-    sums[HESSIAN + 12, t] = terms[12]
-    sums[HESSIAN + 13, t] = terms[13]
-    sums[HESSIAN + 14, t] = terms[14]
-    sums[HESSIAN + 15, t] = terms[15]
-    sums[HESSIAN + 16, t] = terms[16]
-    sums[HESSIAN + 17, t] = terms[17]
-    sums[HESSIAN + 18, t] = terms[18]
-    sums[HESSIAN + 19, t] = terms[19]
-    sums[HESSIAN + 20, t] = terms[20]
-    sums[HESSIAN + 21, t] = terms[21]
-    sums[HESSIAN + 22, t] = terms[22]
-    sums[HESSIAN + 23, t] = terms[23]
-    sums[HESSIAN + 24, t] = terms[24]
-    sums[HESSIAN + 25, t] = terms[25]
-    sums[HESSIAN + 26, t] = terms[26]
+summed_adaptive, summed_convolved = _build_summed(ADAPTIVE_ROWS), _build_summed(CONVOLVED_ROWS)
+store_normal_equations = column_storer(TOTAL_WEIGHT - HESSIAN, exact)
 
 
 @exact
@@ -135,27 +78,22 @@ def _build_adaptive(isotropic, stamp):
         amplitude = amplitudes[tile, t]
         s = summed_adaptive(rows, m)
         w = amplitude * s[WEIGHT]
-        b0 = moved[tile, MATRIX, t]
+        y = point_of(moved, tile, t)
         if isotropic:
-            b1 = b2 = b4 = F0
-            b3 = b5 = b0
+            b0 = isotropic_matrix_of(moved, tile, t, F1)
+            b = Packed(b0, F0, F0, b0, F0, b0)
         else:
-            b1, b2, b3 = (
-                moved[tile, MATRIX + 1, t],
-                moved[tile, MATRIX + 2, t],
-                moved[tile, MATRIX + 3, t],
-            )
-            b4, b5 = moved[tile, MATRIX + 4, t], moved[tile, MATRIX + 5, t]
+            b = packed_matrix_of(moved, tile, t, F1)
         terms = normal_equations(
-            moved[tile, 0, t],
-            moved[tile, 1, t],
-            moved[tile, 2, t],
-            amplitude * s[PRECISION] + w * b0,
-            amplitude * s[PRECISION + 1] + w * b1,
-            amplitude * s[PRECISION + 2] + w * b2,
-            amplitude * s[PRECISION + 3] + w * b3,
-            amplitude * s[PRECISION + 4] + w * b4,
-            amplitude * s[PRECISION + 5] + w * b5,
+            y.x,
+            y.y,
+            y.z,
+            amplitude * s[PRECISION] + w * b.xx,
+            amplitude * s[PRECISION + 1] + w * b.xy,
+            amplitude * s[PRECISION + 2] + w * b.xz,
+            amplitude * s[PRECISION + 3] + w * b.yy,
+            amplitude * s[PRECISION + 4] + w * b.yz,
+            amplitude * s[PRECISION + 5] + w * b.zz,
             amplitude * s[PULL],
             amplitude * s[PULL + 1],
             amplitude * s[PULL + 2],
@@ -163,7 +101,7 @@ def _build_adaptive(isotropic, stamp):
             amplitude * s[TORQUE + 1],
             amplitude * s[TORQUE + 2],
         )
-        store_normal_equations(sums, t, terms)
+        store_normal_equations(sums, HESSIAN, t, terms)
         sums[TOTAL_WEIGHT, t] = w
         sums[TOTAL_ENERGY, t] = amplitude * s[ENERGY]
         sums[TOTAL_MATCHED, t] = 0.0
@@ -192,10 +130,11 @@ def _build_convolved(stamp):
         density = s[ROW_DENSITY]
         posterior = 1.0 / (density + uniform)
         scale = weight * posterior ** (1.0 - mutuality) * uniform**-mutuality
+        y = point_of(moved, tile, t)
         terms = normal_equations(
-            moved[tile, 0, t],
-            moved[tile, 1, t],
-            moved[tile, 2, t],
+            y.x,
+            y.y,
+            y.z,
             scale * s[PRECISION],
             scale * s[PRECISION + 1],
             scale * s[PRECISION + 2],
@@ -209,7 +148,7 @@ def _build_convolved(stamp):
             0.0,
             0.0,
         )
-        store_normal_equations(sums, t, terms)
+        store_normal_equations(sums, HESSIAN, t, terms)
         sums[TOTAL_WEIGHT, t] = scale * s[WEIGHT]
         sums[TOTAL_ENERGY, t] = scale * s[ENERGY]
         sums[TOTAL_MATCHED, t] = weight * density * posterior
@@ -281,7 +220,7 @@ def _build_total(stamp):
 
 
 reduce_adaptive_isotropic = _build_adaptive(True, source_stamp())
-reduce_adaptive_anisotropic = _build_adaptive(False, source_stamp())
+reduce_adaptive_full = _build_adaptive(False, source_stamp())
 reduce_convolved = _build_convolved(source_stamp())
 reduce_columns = _build_columns(source_stamp())
 reduce_nearest = _build_nearest(source_stamp())

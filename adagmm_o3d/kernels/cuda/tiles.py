@@ -7,6 +7,8 @@ with copies of the last point whose share is 0. A box is (low corner, high corne
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +19,25 @@ from adagmm_o3d.kernels.layout import MATRIX, SHARE, X
 BOX_VARIANCE, BOX_BITS = 6, 7
 
 reach_sq = exact(culling.reach_sq.py_func)
+
+
+class Point(NamedTuple):
+    """Three numbers in registers: where a point lies, or how far it is from another."""
+
+    x: Any
+    y: Any
+    z: Any
+
+
+class Packed(NamedTuple):
+    """A symmetric matrix in registers."""
+
+    xx: Any
+    xy: Any
+    xz: Any
+    yy: Any
+    yz: Any
+    zz: Any
 
 
 @exact
@@ -40,14 +61,14 @@ def is_near(convolved, a, i, a_sigma, b, j, b_sigma):
 
 @exact
 def point_of(tiles, tile, t):
-    """Where point t of a tile lies, (3)."""
-    return tiles[tile, X, t], tiles[tile, X + 1, t], tiles[tile, X + 2, t]
+    """Where point t of a tile lies."""
+    return Point(tiles[tile, X, t], tiles[tile, X + 1, t], tiles[tile, X + 2, t])
 
 
 @exact
 def packed_matrix_of(tiles, tile, t, scale):
-    """Its packed matrix times `scale`, (6)."""
-    return (
+    """Its packed matrix times `scale`."""
+    return Packed(
         tiles[tile, MATRIX, t] * scale,
         tiles[tile, MATRIX + 1, t] * scale,
         tiles[tile, MATRIX + 2, t] * scale,

@@ -8,6 +8,8 @@ import pytest
 
 from adagmm_bench.gpu.operations import PAIR_OPERATIONS
 from adagmm_o3d.kernels.cuda import adaptive_rows, convolved_columns, convolved_rows, front_end
+from adagmm_o3d.kernels.cuda.tiles import Packed, Point
+from adagmm_o3d.kernels.cuda.tuples import adder
 
 
 class Counted:
@@ -50,17 +52,22 @@ class Counted:
 # The distance between the colours of points that have none: the compiler adds no zero.
 NOTHING = object()
 COUNTED_MATH = SimpleNamespace(exp2=Counted.exp2, sqrt=Counted.sqrt)
-MATRIX = [Counted(v) for v in (2.0, 0.1, 0.2, 1.5, 0.3, 1.0)]
-Y = [Counted(v) for v in (0.1, 0.2, 0.3)]
+MATRIX = Packed(*map(Counted, (2.0, 0.1, 0.2, 1.5, 0.3, 1.0)))
+Y = Point(*map(Counted, (0.1, 0.2, 0.3)))
 ROWS = {
-    "adaptive": (adaptive_rows, "pair_anisotropic", adaptive_rows.ROWS, [MATRIX]),
-    "adaptive isotropic": (adaptive_rows, "pair_isotropic", adaptive_rows.ROWS, [MATRIX[0]]),
-    "convolved": (convolved_rows, "pair_anisotropic", convolved_rows.ROWS, [MATRIX, NOTHING]),
-    "convolved isotropic": (convolved_rows, "pair_isotropic", convolved_rows.ROWS, [MATRIX[0], False, NOTHING]),
+    "adaptive": (adaptive_rows, "pair_full", adaptive_rows.ROWS, [MATRIX]),
+    "adaptive isotropic": (adaptive_rows, "pair_isotropic", adaptive_rows.ISOTROPIC_ROWS, [MATRIX.xx]),
+    "convolved": (convolved_rows, "pair_full", convolved_rows.ROWS, [MATRIX, False, NOTHING]),
+    "convolved isotropic": (
+        convolved_rows,
+        "pair_isotropic",
+        convolved_rows.ISOTROPIC_ROWS,
+        [MATRIX.xx, False, NOTHING],
+    ),
 }
 COLUMNS = {
-    "columns": ("density_anisotropic", [MATRIX, NOTHING]),
-    "columns isotropic": ("density_isotropic", [MATRIX[0], False, NOTHING]),
+    "columns": ("density_full", [MATRIX, False, NOTHING]),
+    "columns isotropic": ("density_isotropic", [MATRIX.xx, False, NOTHING]),
 }
 
 
@@ -77,7 +84,9 @@ def test_operations_of_the_row_kernels(name, tile, monkeypatch):
     monkeypatch.setattr(module, "inverse_root", Counted.inverse_root, raising=False)
     monkeypatch.setattr(front_end, "math", COUNTED_MATH)
     Counted.count = 0
-    getattr(module, function)(tile, 0, Y, *matrix, tuple(Counted(0.0) for _ in range(sums)))
+    terms = getattr(module, function)(tile, 0, Y, *matrix)
+    adder(sums, front_end.fast)(tuple(Counted(0.0) for _ in range(sums)), terms)
+    assert len(terms) == sums
     assert Counted.count == PAIR_OPERATIONS[name]
 
 

@@ -5,10 +5,12 @@ from numba import float32
 from adagmm_o3d.kernels.cuda.clouds.inspecting import COVARIANCE, LARGEST, VARIANCE
 from adagmm_o3d.kernels.cuda.front_end import TILE, cuda, exact, exact_formulas, kernel, source_stamp
 from adagmm_o3d.kernels.cuda.tiles import BOX_BITS, BOX_VARIANCE, extreme
+from adagmm_o3d.kernels.cuda.tuples import column_storer
 from adagmm_o3d.kernels.formulas import LOG2_SCALE
 from adagmm_o3d.kernels.layout import MATRIX, SHARE
 
 adjugate, dot = exact_formulas.adjugate, exact_formulas.dot
+store_packed = column_storer(6, exact)
 
 # The highest number of a cell along an axis, ten bits; see `kernels.cpu.tiles.morton_order`.
 LAST_CELL = 1023
@@ -94,12 +96,9 @@ def _build_pack(precise, isotropic, stamp):
                 a0, a1, a2, a3, a4, a5 = adjugate(c0, c1, c2, c3, c4, c5)
                 in_powers_of_two = LOG2_SCALE / dot(c0, c1, c2, a0, a1, a2)
                 c0, c1, c2, c3, c4, c5 = a0, a1, a2, a3, a4, a5
-            tiles[tile, MATRIX, t] = c0 * in_powers_of_two
-            tiles[tile, MATRIX + 1, t] = c1 * in_powers_of_two
-            tiles[tile, MATRIX + 2, t] = c2 * in_powers_of_two
-            tiles[tile, MATRIX + 3, t] = c3 * in_powers_of_two
-            tiles[tile, MATRIX + 4, t] = c4 * in_powers_of_two
-            tiles[tile, MATRIX + 5, t] = c5 * in_powers_of_two
+            c0, c1, c2 = c0 * in_powers_of_two, c1 * in_powers_of_two, c2 * in_powers_of_two
+            c3, c4, c5 = c3 * in_powers_of_two, c4 * in_powers_of_two, c5 * in_powers_of_two
+            store_packed(tiles[tile], MATRIX, t, (c0, c1, c2, c3, c4, c5))
         cuda.syncthreads()
         if t < 8:
             boxes[tile, t] = extreme(corners, t)

@@ -2,15 +2,17 @@
 
 from numba import float64
 
-from adagmm_o3d.kernels.cuda.front_end import TILE, cuda, kernel, source_stamp
+from adagmm_o3d.kernels.cuda.front_end import TILE, cuda, exact, kernel, source_stamp
 from adagmm_o3d.kernels.cuda.reductions import PADDED, reduce_tile
 from adagmm_o3d.kernels.cuda.tiles import extreme
+from adagmm_o3d.kernels.cuda.tuples import column_storer
 
 # Blocks that fill a GPU, each with its own share of the points: a few kilobytes for the host.
 MOST_BLOCKS = 256
 # The sum of the weights, of the weighted offsets, and of their products, packed.
 MOMENTS = 10
 FIRST, SECOND = 1, 4
+store_moments = column_storer(MOMENTS, exact)
 # Beyond any coordinate.
 BEYOND = 1.7e308
 
@@ -67,16 +69,7 @@ def _build_moments(stamp):
             syy += w * y * y
             syz += w * y * z
             szz += w * z * z
-        sums[0, t] = s
-        sums[1, t] = sx
-        sums[2, t] = sy
-        sums[3, t] = sz
-        sums[4, t] = sxx
-        sums[5, t] = sxy
-        sums[6, t] = sxz
-        sums[7, t] = syy
-        sums[8, t] = syz
-        sums[9, t] = szz
+        store_moments(sums, 0, t, (s, sx, sy, sz, sxx, sxy, sxz, syy, syz, szz))
         cuda.syncthreads()
         reduce_tile(sums, MOMENTS, t, cuda.blockIdx.x, partials)
 

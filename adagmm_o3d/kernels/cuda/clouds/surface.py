@@ -6,7 +6,7 @@ from numba import float64, int32
 from adagmm_o3d.kernels.cuda.clouds.eigen import eigen
 from adagmm_o3d.kernels.cuda.clouds.inspecting import COVARIANCE, LARGEST, VARIANCE
 from adagmm_o3d.kernels.cuda.front_end import TILE, cuda, exact, kernel, source_stamp
-from adagmm_o3d.kernels.cuda.tiles import extreme
+from adagmm_o3d.kernels.cuda.tiles import extreme, gap_sq
 from adagmm_o3d.kernels.limits import EPSILON, KNN, LINE_RATIO
 
 # Farther than any two points.
@@ -28,16 +28,6 @@ def offer(distances, indices, t, kept, worst, d, i):
     for k in range(1, kept):
         worst = max(worst, distances[k, t])
     return worst
-
-
-@exact
-def gap_sq(boxes, i, j):
-    """Squared distance between two boxes; 0 where they meet."""
-    gap = 0.0
-    for k in range(3):
-        d = max(max(boxes[j, k] - boxes[i, k + 3], boxes[i, k] - boxes[j, k + 3]), 0.0)
-        gap += d * d
-    return gap
 
 
 def _build_boxes(stamp):
@@ -92,14 +82,13 @@ def _build_surface(stamp):
             if first < 0:
                 # the block's own tile and the next ones along the curve
                 tile = own + t - 1
-                found = 1 if t < 3 and tile >= 0 and tile < count else 0
+                near[t] = t < 3 and tile >= 0 and tile < count
             else:
                 tile = first + t
-                found = 0
-                if tile < count and (tile < own - 1 or tile > own + 1) and gap_sq(boxes, own, tile) < limit:
-                    found = 1
-            near[t] = found
-            if cuda.syncthreads_or(found) == 0:
+                near[t] = (
+                    tile < count and (tile < own - 1 or tile > own + 1) and gap_sq(boxes, own, boxes, tile) < limit
+                )
+            if cuda.syncthreads_or(near[t]) == 0:
                 continue
             for k in range(TILE):
                 if near[k] == 0:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import sys
 from collections.abc import Sequence
 from functools import partial
 
 from adagmm_fusion.completion import add_completion
-from adagmm_fusion.missing_library import explain
-from adagmm_fusion.processes.interruption import exit_code, heard_afterwards, signals_as_interrupts
-from adagmm_fusion.processes.terminal import printing, say
+from adagmm_fusion.processes.command_line import run_command, run_program
 
+PROGRAM = "adagmm-bench"
 # The commands: the module of each, what its functions are told, and what the list of commands says of it.
 COMMANDS = {
     "sim2d": ("simulations", {"dimension": 2}, "the four sweeps of Section 4.1 in 2D"),
@@ -34,7 +32,7 @@ COMMANDS = {
 def build_parser(filled_in: Sequence[str] = tuple(COMMANDS)) -> argparse.ArgumentParser:
     """The command line's grammar; commands other than those named are in it without their options, unimported."""
     parser = argparse.ArgumentParser(
-        prog="adagmm-bench", description="The paper's experiments, with other registration methods beside ours."
+        prog=PROGRAM, description="The paper's experiments, with other registration methods beside ours."
     )
     add_completion(parser, build_parser)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -51,32 +49,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; 0 when it did what it was asked to, 1 on an error or a regression, 2 on wrong usage; 130 after
     Ctrl-C, 143 after SIGTERM.
     """
-    try:
-        with signals_as_interrupts():
-            return printing("adagmm-bench", lambda: _run_command(arguments))
-    except KeyboardInterrupt as stop:
-        say("adagmm-bench: stopped; the same command goes on from here")
-        return exit_code(stop)
+    return run_program(
+        PROGRAM, lambda: _run_command(arguments), lambda _: "stopped; the same command goes on from here"
+    )
 
 
 def _run_command(arguments: Sequence[str] | None) -> int:
-    arguments = sys.argv[1:] if arguments is None else list(arguments)
-    name = next((argument for argument in arguments if argument in COMMANDS), None)
-    try:
-        if name is None:
-            build_parser([]).parse_args(arguments)  # prints what is asked for, or what is wrong, and exits
-        with heard_afterwards():
-            from adagmm_fusion.errors import AdaGMMError, one_line
-        try:
-            with heard_afterwards():
-                command_line = build_parser([name])
-            parsed = command_line.parse_args(arguments)
-            return parsed.run(parsed)
-        except AdaGMMError as error:
-            say(f"adagmm-bench: {one_line(error)}")
-            return 1
-    except (ImportError, OSError) as error:
-        if (line := explain(error, own_extra="bench")) is None:
-            raise
-        say(f"adagmm-bench: {line}")
-        return 1
+    return run_command(PROGRAM, COMMANDS, build_parser, arguments, own_extra="bench")

@@ -1,18 +1,13 @@
-"""The command `adagmm-fusion`. Known errors end here: one line on stderr, exit code 1; so do Ctrl-C and SIGTERM.
-
-A command's modules are imported when it is the one that runs: Open3D, Numba and Rerun take a second each.
-"""
+"""The command `adagmm-fusion`. Known errors end here: one line on stderr, exit code 1; so do Ctrl-C and SIGTERM."""
 
 import argparse
 import importlib
-import sys
 from collections.abc import Sequence
 
 from adagmm_fusion.completion import add_completion
-from adagmm_fusion.missing_library import explain
-from adagmm_fusion.processes.interruption import exit_code, heard_afterwards, signals_as_interrupts, word_for
-from adagmm_fusion.processes.terminal import printing, say
+from adagmm_fusion.processes.command_line import run_command, run_program
 
+PROGRAM = "adagmm-fusion"
 # The commands, and what the list of them says of each.
 COMMANDS = {
     "run": "register the pairs of a recording",
@@ -28,45 +23,26 @@ COMMANDS = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    try:
-        with signals_as_interrupts():
-            return printing("adagmm-fusion", lambda: _run_command(arguments))
-    except KeyboardInterrupt as stop:
-        say(f"adagmm-fusion: {word_for(stop)}")
-        return exit_code(stop)
+    return run_program(PROGRAM, lambda: _run_command(arguments))
 
 
 def _run_command(arguments: Sequence[str] | None) -> int:
-    arguments = sys.argv[1:] if arguments is None else list(arguments)
-    name = next((argument for argument in arguments if argument in COMMANDS), None)
-    try:
-        if name is None:
-            parser([]).parse_args(arguments)  # prints what is asked for, or what is wrong, and exits
-        with heard_afterwards():
-            from adagmm_fusion.errors import AdaGMMError, one_line
-        try:
-            with heard_afterwards():
-                command_line = parser([name])
-            if name == "run":
-                from adagmm_fusion.commands.run_config import with_config
-                from adagmm_fusion.commands.run_options import SETTINGS_OPTIONS
+    return run_command(PROGRAM, COMMANDS, parser, arguments, amend=_with_config)
 
-                arguments = with_config(arguments, SETTINGS_OPTIONS)
-            args = command_line.parse_args(arguments)
-            return args.run(args)
-        except AdaGMMError as problem:
-            say(f"adagmm-fusion: {one_line(problem)}")
-            return 1
-    except (ImportError, OSError) as problem:
-        if (line := explain(problem)) is None:
-            raise
-        say(f"adagmm-fusion: {line}")
-        return 1
+
+def _with_config(name: str, arguments: list[str]) -> list[str]:
+    """The arguments, those of `run` with the settings of its --config file."""
+    if name != "run":
+        return arguments
+    from adagmm_fusion.commands.run_config import with_config
+    from adagmm_fusion.commands.run_options import SETTINGS_OPTIONS
+
+    return with_config(arguments, SETTINGS_OPTIONS)
 
 
 def parser(filled_in: Sequence[str] = tuple(COMMANDS)) -> argparse.ArgumentParser:
     """The command line's grammar; commands other than those named are in it without their options."""
-    top = argparse.ArgumentParser(prog="adagmm-fusion", description="Register and fuse recorded RGB-D pairs.")
+    top = argparse.ArgumentParser(prog=PROGRAM, description="Register and fuse recorded RGB-D pairs.")
     top.add_argument("--version", action=_PrintVersion, nargs=0, help="show program's version number and exit")
     add_completion(top, parser)
     commands = top.add_subparsers(required=True, metavar="COMMAND")

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from reader_cases import files_of, write_files
 from shared_data import ROOT
 
 import adagmm_fusion.commands.run
@@ -149,6 +150,34 @@ def test_a_rig_file_is_checked_before_the_work(tmp_path, no_work, capsys):
     (tmp_path / "rig.yaml").mkdir()
     arguments = ["calibrate", str(tmp_path), "--chessboard", "9x6", "--square", "0.03"]
     assert "rig.yaml: expected" in is_refused([*arguments, "--output", str(tmp_path / "rig.yaml")], capsys)
+
+
+@pytest.mark.parametrize("command", ["run", "fuse"])
+def test_a_recording_is_not_written_into(tmp_path, command, no_work, capsys):
+    """Its own results would be read as its parts, a trajectory as its ground truth, and files of it be replaced."""
+    room = tmp_path / "room"
+    write_files(room, files_of("adagmm"))
+    (tmp_path / "link").symlink_to(room)
+    for folder in (room, tmp_path / "link", room / "left" / ".."):
+        error = is_refused([command, str(room), "--output", str(folder)], capsys)
+        assert "expected a folder for results, it is the recording" in error
+    for file in ("recording.yaml", "left/depth/000000.png"):
+        arguments = [command, str(room), "--output", str(tmp_path / "out"), "--save", str(tmp_path / "link" / file)]
+        assert "it is a file of the recording; give another --save" in is_refused(arguments, capsys)
+    assert {str(p.relative_to(room)) for p in room.rglob("*") if p.is_file()} == set(files_of("adagmm"))
+
+
+def test_verify_replaces_no_file_of_the_recording(tmp_path, capsys):
+    write_files(tmp_path, files_of("adagmm"))
+    arguments = ["verify", str(tmp_path / "rig.yaml"), str(tmp_path), "--save", str(tmp_path / "recording.yaml")]
+    assert "it is a file of the recording; give another --save" in is_refused(arguments, capsys)
+
+
+@pytest.mark.parametrize("rig", ["room", "."])
+def test_the_rig_of_a_simulation_is_not_its_folder(tmp_path, rig, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    error = is_refused(["simulate", "room/new", "--calibration", f"room/../{rig}"], capsys)
+    assert "expected the name of a rig file" in error and not list(tmp_path.iterdir())
 
 
 def test_a_picture_and_an_obj_replace_files_only(tmp_path):

@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     AdaGMMError  if the recording cannot be used, the poses are not known, or a result cannot be written.
     """
     from adagmm_fusion.files.atomic_file import check_output_file
-    from adagmm_fusion.files.output_folder import exclusive
+    from adagmm_fusion.files.output_folder import check_apart, exclusive
     from adagmm_fusion.files.stale_results import remove_untouched, states_of
     from adagmm_fusion.rerun_log import check_destination
 
@@ -92,6 +92,7 @@ def run(args: argparse.Namespace) -> int:
     if args.save is None and not (args.no_rerun or args.connect or args.serve or args.url or args.stdout):
         args.save = str(folder / f"{recording.path.resolve().name}.rrd")
         check_destination(args)
+    check_apart(recording.path, folder, args.save)
     # With --stdout the Rerun recording goes there, and what is said to stderr.
     with contextlib.redirect_stdout(sys.stderr) if args.stdout else contextlib.nullcontext(), exclusive(folder):
         for path in (folder / f"mesh.{args.mesh}", *(path for _, path in _trajectory_files(recording, folder))):

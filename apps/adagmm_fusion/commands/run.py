@@ -14,7 +14,7 @@ from rich.console import Console
 from adagmm_fusion.commands.progress import progress
 from adagmm_fusion.errors import OutputError, one_line
 from adagmm_fusion.files.atomic_file import check_output_file
-from adagmm_fusion.files.output_folder import exclusive
+from adagmm_fusion.files.output_folder import check_apart, exclusive
 from adagmm_fusion.files.stale_results import remove_untouched, results_of_report, states_of
 from adagmm_fusion.frames.rgbd import RGBDPair
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh, save_textured_mesh
@@ -66,6 +66,7 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
     if logs_to_file and args.save is None:
         args.save = str(folder / f"{recording.path.resolve().name}.rrd")
     check_destination(args)
+    check_apart(recording.path, folder, args.save)
 
     notes = (*recording.notes, *recording_warnings(recording))
     results: dict[str, str] = {}

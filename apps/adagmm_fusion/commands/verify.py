@@ -55,6 +55,7 @@ def run(args: argparse.Namespace) -> int:
 
     from adagmm_fusion.commands.progress import progress_bar
     from adagmm_fusion.errors import one_line
+    from adagmm_fusion.files.output_folder import check_apart
     from adagmm_fusion.pairs.plausibility import recording_warnings
     from adagmm_fusion.pairs.settings import Settings
     from adagmm_fusion.recordings.opening import open_recording
@@ -71,6 +72,7 @@ def run(args: argparse.Namespace) -> int:
     check_destination(args)
     rig = load_rig(args.rig)
     recording = open_recording(args.recording, format=args.format, rig=rig)
+    check_apart(recording.path, None, args.save)
     with progress_bar(recording.name) as report:
         checks = check_rig(
             rig,

@@ -61,7 +61,7 @@ def read_input(
     except ValueError as problem:  # a NUL byte in its name
         raise error(f"{path}: cannot be read: {problem}") from problem
     except OSError as problem:
-        if path.is_symlink() and not path.exists():
+        if os.path.islink(path) and not os.path.exists(path):
             raise error(f"{path}: cannot be read: it is a link to nothing") from problem
         if problem.errno == errno.ENXIO:
             raise error(f"{path}: cannot be read: it is a socket, not a file") from problem

@@ -51,6 +51,26 @@ def check_new_folder(folder: Path, error: type[AdaGMMError] = OutputError) -> No
         raise error(f"{folder}: is there already and not an empty folder; give a new one")
 
 
+def check_apart(recording: Path, folder: Path | None, file: str | Path | None) -> None:
+    """Before the work: whether the recording stays as it is. Results among its files could be read as parts of it, a
+    trajectory as its ground truth; in a folder of their own within it they do no harm.
+
+    folder : where results go, if anywhere.    file : the Rerun recording, if one is to be saved.
+
+    Raises
+    ------
+    OutputError  if `folder` is the recording's own, or `file` would replace a file in it.
+    """
+    whole = Path(os.path.realpath(recording))
+    if folder is not None and Path(os.path.realpath(folder)) == whole:
+        raise OutputError(f"{folder}: expected a folder for results, it is the recording; give another --output")
+    if file is None or not os.path.lexists(file) or Path(file).suffix == ".rrd":
+        return
+    place = Path(os.path.realpath(file))
+    if whole == place or whole in place.parents:
+        raise OutputError(f"{file}: expected a name for results, it is a file of the recording; give another --save")
+
+
 def _locked(handle: int) -> bool:
     try:
         return lock(handle)

@@ -1,5 +1,6 @@
 """A simulated recording in our own layout: two fixed Kinects look at one room, and its rig is known exactly."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -96,6 +97,9 @@ def simulate_recording(
         raise InputError(f"seed: expected 0 or more, got {seed}")
     check_new_folder(folder, InputError)
     rig_path = folder / "rig.yaml" if calibration is None else Path(calibration)
+    whole = Path(os.path.realpath(folder))
+    if Path(os.path.realpath(rig_path)) in (whole, *whole.parents):
+        raise InputError(f"calibration: expected the name of a rig file, got a folder of the recording, {rig_path}")
     name = folder.resolve().name
     save_rig(rig_path, simulated_rig(name))
     for index in range(pairs):

@@ -55,6 +55,7 @@ class Schedule:
         many poses.
     """
 
+    # size, merged, floor, least_unmatched, relative_rmse, fastest, iterations, follow, sigma, kept, apart
     sketch: Level = Level((24, 64), True, 2e-3, 0.05, 5e-4, 0.6, 4, 0.0, None, 8, 0.12)
     merged: Level = Level((200, 200), True, 2e-3, 0.05, 5e-4, 0.65, 4, 0.0, 4e-3, 4, 0.12)
     ranking: Level = Level((400, 400), False, 1e-3, 0.05, 1e-3, 0.65, 6, 0.0, 4e-3, 2, 0.04)

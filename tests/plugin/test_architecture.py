@@ -1,6 +1,7 @@
 """Arrows only go down: which room imports which, read from the source without running it; see CONTRIBUTING.md."""
 
 import ast
+import itertools
 import re
 import sys
 from collections.abc import Iterator
@@ -80,6 +81,21 @@ def row(module: str) -> int:
 
 def test_every_module_has_its_row():
     assert {room(name) for name, _ in modules(ROOT / "adagmm_o3d")} == {name for rooms in ROWS for name in rooms}
+
+
+@pytest.mark.parametrize("package", ["adagmm_o3d", "apps/adagmm_fusion", "apps/adagmm_bench", "tests"])
+def test_the_tree_in_contributing_is_the_real_one(package):
+    """A name of the tree is a room, with a slash, or a module; what stands behind two spaces and has some is prose."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    lines = text.partition(f"\n    {package}/\n")[2].splitlines()
+    tree = itertools.takewhile(lambda line: line.startswith("      "), lines)
+    named = [word for line in tree for word in re.split(r"  +", line.strip()) if re.fullmatch(r"[\w/]+", word)]
+    folder = ROOT / package
+    rooms = [path for path in folder.rglob("*") if path.is_dir() and "__pycache__" not in path.parts]
+    real = [f"{path.relative_to(folder).as_posix()}/" for path in rooms if any(path.iterdir())]
+    if package != "tests":
+        real += [path.stem for path in folder.glob("*.py") if not path.stem.startswith("__")]
+    assert sorted(named) == sorted(real)
 
 
 def test_no_arrow_goes_up():

@@ -18,7 +18,7 @@ from adagmm_o3d.mixtures.normalisation import normalise
 from adagmm_o3d.options import Criteria
 from adagmm_o3d.pairs.cpu_pairs import CUT_BITS, PairLoop
 from adagmm_o3d.result import StopReason
-from adagmm_o3d.search import refinement
+from adagmm_o3d.search import refinement, register
 
 CRITERIA = Criteria(relative_rmse=1e-4, max_iteration=200)
 LIMITS = Limits(SAMPLED_SIGMA, LEAST_UNMATCHED, CRITERIA.relative_rmse, accelerated=True, bits=CUT_BITS)
@@ -137,6 +137,38 @@ def test_relaxation_lengthens_the_steps_of_small_clouds_and_of_large_ones(size):
     assert (plain != relaxed).any()
     assert all(result.converged for result in results)
     np.testing.assert_allclose(plain[-1], relaxed[-1], rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize("sigma_rule", ["annealed", "nearest", "figure2"])
+@pytest.mark.parametrize("size", [300, 1500])
+def test_relaxation_saves_iterations_with_the_papers_weights(size, sigma_rule):
+    rng = np.random.default_rng(4)
+    source = body_with_head(rng, size, 3)
+    target = move(source + 0.03 * rng.normal(size=source.shape), random_pose(rng, 3, angle=0.3, distance=0.4))
+    options = [TransformationEstimationForAdaptiveGMM(sigma_rule=sigma_rule, relaxation=r) for r in (1.0, 1.5)]
+    plain, relaxed = (register_points(source, target, estimation_method=option) for option in options)
+    assert plain.converged and relaxed.converged
+    assert relaxed.iterations < plain.iterations
+    # Each stops where a step is short beside the noise, 0.03, on its own way.
+    np.testing.assert_allclose(plain.transformation, relaxed.transformation, rtol=0, atol=1e-2)
+
+
+@pytest.mark.parametrize("size", [300, 1500])
+def test_iterations_before_the_last_level_are_told_at_once_when_the_search_has_ended(size, monkeypatch):
+    rng = np.random.default_rng(5)
+    source = body_with_head(rng, size, 3)
+    target = move(source + 0.01 * rng.normal(size=source.shape), random_pose(rng, 3, angle=0.3, distance=0.4))
+    levels, found = [], []
+    refine = register.refine
+
+    def recorded(*arguments, **options):
+        found.append(list(levels))
+        return refine(*arguments, **options)
+
+    monkeypatch.setattr(register, "refine", recorded)
+    register_points(source, target, callback_after_iteration=lambda step: levels.append(step["scale_index"]))
+    assert len(found) == 1 and found[0] and max(found[0]) < refinement.LEVEL
+    assert levels[: len(found[0])] == found[0] and set(levels[len(found[0]) :]) == {refinement.LEVEL}
 
 
 def test_iterations_of_small_clouds_are_told_as_they_happen(pair, monkeypatch):

@@ -14,7 +14,7 @@ from adagmm_bench.commands.options import (
     data_folder,
     open_journal,
     placement,
-    starts_of,
+    trial_jobs,
 )
 from adagmm_bench.methods import METHODS
 from adagmm_bench.pair_report import pair_table, write_pair_report
@@ -23,7 +23,7 @@ from adagmm_bench.report import markdown_table, print_table
 from adagmm_bench.runner import run_jobs
 from adagmm_bench.scenes import KinectScene, find_scenes
 from adagmm_bench.summary import Summary, best_start, summarise
-from adagmm_bench.trial import TrialJob, judge
+from adagmm_bench.trial import judge
 from adagmm_fusion.processes.terminal import printable
 
 BASIN_DEG, BASIN_M = 10.0, 0.2
@@ -41,12 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
     scenes = find_scenes(data_folder(arguments))
     methods, skipped = chosen_methods(arguments, 3)
     starts = chosen_starts(arguments)
-    jobs = [
-        TrialJob(scene, method.name, start)
-        for method in methods
-        for start in starts_of(method, starts)
-        for scene in scenes
-    ]
+    jobs = trial_jobs(scenes, methods, starts)
     with open_journal(arguments) as journal:
         records = run_jobs(jobs, journal, placement(arguments))
     records += [authors_record(scene) for scene in scenes]

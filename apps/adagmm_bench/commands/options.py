@@ -12,6 +12,7 @@ from adagmm_bench.models import default_data_folder
 from adagmm_bench.problem import PREPARATIONS
 from adagmm_bench.runner import Placement
 from adagmm_bench.scenes import FramePair, find_frame_pairs
+from adagmm_bench.trial import ProblemSource, TrialJob
 from adagmm_fusion.files.atomic_file import check_output_file
 from adagmm_fusion.processes.terminal import printable, say
 from adagmm_o3d.errors import InputError
@@ -109,6 +110,16 @@ def starts_of(method: Method, starts: tuple[str, ...]) -> tuple[str, ...]:
     if method.anywhere and {"as-given", "centroids"} <= set(starts):
         return tuple(start for start in starts if start != "as-given")
     return starts
+
+
+def trial_jobs(problems: Sequence[ProblemSource], methods: Sequence[Method], starts: tuple[str, ...]) -> list[TrialJob]:
+    """Every problem from every start by every method, one method after another."""
+    return [
+        TrialJob(problem, method.name, start)
+        for method in methods
+        for start in starts_of(method, starts)
+        for problem in problems
+    ]
 
 
 def check_reports(arguments: argparse.Namespace) -> None:

@@ -15,7 +15,7 @@ from adagmm_bench.commands.options import (
     chosen_starts,
     open_journal,
     placement,
-    starts_of,
+    trial_jobs,
     usable_frame_pairs,
 )
 from adagmm_bench.methods import METHODS
@@ -47,12 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     starts = chosen_starts(arguments)
     jobs = [TrialJob(pair, END_TO_END, "as-given") for pair in pairs]
     # Pair by pair, so that a worker makes its clouds once.
-    jobs += [
-        TrialJob(pair, method.name, start)
-        for pair in pairs
-        for method in methods
-        for start in starts_of(method, starts)
-    ]
+    jobs += [job for pair in pairs for job in trial_jobs([pair], methods, starts)]
     with open_journal(arguments) as journal:
         records = run_jobs(jobs, journal, placement(arguments), run=run_frame_trial, version_of=version_of)
     limits = Settings()

@@ -13,7 +13,7 @@ from adagmm_bench.commands.options import (
     data_folder,
     open_journal,
     placement,
-    starts_of,
+    trial_jobs,
     words,
 )
 from adagmm_bench.methods import METHODS
@@ -31,7 +31,7 @@ from adagmm_bench.report import (
 from adagmm_bench.runner import run_jobs
 from adagmm_bench.simulation import REPETITIONS, SWEEPS, trial_ids
 from adagmm_bench.summary import FOUND_ROTATION_ERROR, Summary, best_start, by_setting, summarise
-from adagmm_bench.trial import SimulatedProblem, TrialJob
+from adagmm_bench.trial import SimulatedProblem
 from adagmm_fusion.files.atomic_file import write_text
 from adagmm_fusion.processes.terminal import printable
 
@@ -82,12 +82,7 @@ def run(arguments: argparse.Namespace, dimension: int) -> int:
             rotation_range_deg=arguments.rotation_range,
         )
     ]
-    jobs = [
-        TrialJob(problem, method.name, start)
-        for method in methods
-        for start in starts_of(method, starts)
-        for problem in problems
-    ]
+    jobs = trial_jobs(problems, methods, starts)
     with open_journal(arguments) as journal:
         records = run_jobs(jobs, journal, placement(arguments))
     models = models_path.name if models_path else "shapes made by the bench"

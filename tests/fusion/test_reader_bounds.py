@@ -2,7 +2,9 @@
 
 import codecs
 import os
+import tracemalloc
 import zlib
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +15,7 @@ from reader_cases import INTRINSICS, NEEDS_RIG, WRITERS, files_of, read_everythi
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files import strict_yaml
+from adagmm_fusion.files.input_file import read_input
 from adagmm_fusion.files.strict_yaml import read_yaml
 from adagmm_fusion.formats import bag_stream, matlab_file, own
 from adagmm_fusion.recordings.opening import open_recording
@@ -193,6 +196,20 @@ def test_a_byte_order_mark_changes_nothing(format, tmp_path):
     for a, b in zip(recordings[0].entries, recordings[1].entries, strict=True):
         assert (a.T_world_camera is None) == (b.T_world_camera is None)
         assert a.T_world_camera is None or np.array_equal(a.T_world_camera, b.T_world_camera)
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="a file of Linux that says it is empty")
+def test_memory_is_asked_for_what_a_file_has(tmp_path):
+    """Not for what it might have: that much is refused where memory is limited."""
+    path = tmp_path / "a.txt"
+    path.write_bytes(b"x" * 100_000)
+    tracemalloc.start()
+    try:
+        assert len(read_input(path, RecordingError)) == 100_000
+        assert tracemalloc.get_traced_memory()[1] < 1_000_000
+    finally:
+        tracemalloc.stop()
+    assert b"Pid:" in read_input(Path("/proc/self/status"), RecordingError)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes of POSIX")

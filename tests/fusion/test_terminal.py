@@ -150,6 +150,23 @@ def test_output_that_is_not_taken(number, lines, monkeypatch, capsys):
             assert err.endswith(f": the output cannot be printed: {os.strerror(number)}\n")
 
 
+@pytest.mark.parametrize(
+    ("problem", "line"),
+    [
+        (MemoryError(), "the memory is not enough (no more is given); take less data at a time"),
+        (MemoryError("Unable to allocate 9 GiB"), "the memory is not enough (Unable to allocate 9 GiB); take less"),
+        (OSError(24, "Too many open files", "a.txt"), "too many files are open; allow more, as with ulimit -n 1024"),
+    ],
+)
+def test_a_machine_that_gives_no_more(problem, line, capsys):
+    def work():
+        raise problem
+
+    assert printing("program", work) == 1
+    out, err = capsys.readouterr()
+    assert out == "" and err.startswith(f"program: {line}") and err.count("\n") == 1
+
+
 @pytest.mark.parametrize("name", ["stdout", "stderr", "both"])
 def test_a_process_without_output(name, monkeypatch):
     for stream in ("stdout", "stderr") if name == "both" else (name,):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from adagmm_o3d.errors import InputError
 
+LEAST_READ = 1 << 16  # files of the system say that they have 0 bytes
 MAX_BYTES = 1 << 28  # far more than an image, a list of images or a calibration
 
 
@@ -55,7 +56,8 @@ def read_input(
                 raise error(
                     f"{path}: cannot be read: expected at most {MAX_BYTES >> 20} MiB, got {status.st_size >> 20}"
                 )
-            return file.read(count)
+            # As much memory as the file needs, not as much as it might.
+            return file.read(min(count, max(status.st_size, LEAST_READ)))
     except error:
         raise
     except ValueError as problem:  # a NUL byte in its name

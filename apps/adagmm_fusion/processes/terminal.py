@@ -32,6 +32,7 @@ PLAIN = {
 ERRORS = "adagmm_plain"
 # What writing to a terminal, pipe or file that is full or gone ends with.
 LOST_OUTPUT = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EPIPE, errno.EBADF)
+NO_MORE_FILES = (errno.EMFILE, errno.ENFILE)
 
 
 def printable(text: object) -> str:
@@ -40,7 +41,8 @@ def printable(text: object) -> str:
 
 
 def printing(program: str, command: Callable[[], int]) -> int:
-    """The exit code of a command that prints; 1 where its output could not be printed, which stderr then says.
+    """The exit code of a command that prints; 1 where its output could not be printed, or the machine gives no more
+    memory or files, which stderr then says.
 
     Characters that stdout or stderr cannot encode are written in plain letters or as escapes.
     """
@@ -50,7 +52,13 @@ def printing(program: str, command: Callable[[], int]) -> int:
                 return command()
             finally:
                 sys.stdout.flush()
+        except MemoryError as problem:
+            say(f"{program}: the memory is not enough ({str(problem) or 'no more is given'}); take less data at a time")
+            return 1
         except OSError as problem:
+            if problem.errno in NO_MORE_FILES:
+                say(f"{program}: too many files are open; allow more, as with ulimit -n 1024")
+                return 1
             if problem.errno not in LOST_OUTPUT or problem.filename is not None:
                 raise
             _abandon(sys.stdout)

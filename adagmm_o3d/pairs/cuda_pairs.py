@@ -51,6 +51,8 @@ class _Kernels(NamedTuple):
     reduce_adaptive: Any
     scores_of_source: Any
     scores_of_target: Any
+    coloured_scores_of_source: Any
+    coloured_scores_of_target: Any
 
 
 class Hues(NamedTuple):
@@ -73,6 +75,8 @@ ISOTROPIC = _Kernels(
     reductions.reduce_adaptive_isotropic,
     scores.score_sums_of_source_isotropic,
     scores.score_sums_of_target_isotropic,
+    scores.coloured_sums_of_source_isotropic,
+    scores.coloured_sums_of_target_isotropic,
 )
 FULL = _Kernels(
     moving.move_full,
@@ -84,6 +88,8 @@ FULL = _Kernels(
     reductions.reduce_adaptive_full,
     scores.score_sums_of_source,
     scores.score_sums_of_target,
+    scores.coloured_sums_of_source,
+    scores.coloured_sums_of_target,
 )
 
 
@@ -224,20 +230,29 @@ class CudaPairLoop:
         weights: Array,
         shares: Array,
         cut: float,
+        colour: ColourModel | None = None,
+        own_colours: Array | None = None,
     ) -> Array:
         """(K, POINT_SUMS) as `kernels.cpu.scores`, but for the weights of the points themselves.
 
         own : (POINT, K) points of the source at `pose`, or of the target, see `scores`.   weights, shares : (n,) of all
-        points of the other side, see there.
+        points of the other side, see there.   own_colours : (K, 3), with a model of the colours of both.
         """
         source, target, _ = self._covariances
+        kernels, hues = self._kernels, self._hues(colour)
         if own_is_source:
-            kernel, other, side = self._kernels.scores_of_source, target, self._target
+            kernel = kernels.coloured_scores_of_source if hues.count else kernels.scores_of_source
+            other, side, other_hues = target, self._target, hues.target
             other_boxes, scale = self._target_boxes, sigma * LOG2_SCALE
         else:
             self._move(pose, np.float32(sigma), False, source)
-            kernel, other, side = self._kernels.scores_of_target, self._moved, self._source
+            kernel = kernels.coloured_scores_of_target if hues.count else kernels.scores_of_target
+            other, side, other_hues = self._moved, self._source, hues.source
             other_boxes, scale = self._moved_boxes, LOG2_SCALE
+        own_hues, expected = np.zeros((1, 3, 1), np.float32), 1.0
+        if colour is not None:
+            assert own_colours is not None
+            own_hues, expected = colour.hues(own_colours, of_source=own_is_source)[None], colour.expected
         sums = cuda.device_array((scores.SUMS if own_is_source else scores.CURVATURE, own.shape[1]), np.float64)
         kernel[own.shape[1], TILE](
             upload(own),
@@ -247,9 +262,13 @@ class CudaPairLoop:
             np.float32(sigma * LOG2_SCALE),
             *(upload(tiled(values[side.order].astype(np.float32), 0.0)) for values in (weights, shares)),
             np.float32(cut),
+            upload(own_hues),
+            other_hues,
+            hues.cap,
             sums,
         )
-        return scores.unfolded(sums.copy_to_host())
+        # Each sum is of densities, and the kernels leave out by how much any two points' colours agree.
+        return scores.unfolded(sums.copy_to_host()) / expected
 
     def launch_adaptive_rows(self, source_sigma: float, target_sigma: float) -> None:
         """The pairs of `sums` with the source where the last pass has moved it."""

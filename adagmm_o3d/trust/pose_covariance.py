@@ -163,9 +163,7 @@ def score_moments(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -> S
     # 1 / (density + uniform), for the source points from the probability to have a partner
     source_rest = (1.0 - sums.row_weights) / uniform
     target_rest = 1.0 / (sums.column_densities + uniform)
-    # Colours are looked at on the host.
-    resident = source.on_device and fit.colour is None
-    make_side, axis = (_ResidentSide, 0) if resident else (_side, int(np.argmax(np.ptp(target.points, axis=0))))
+    make_side, axis = (_ResidentSide, 0) if source.on_device else (_side, int(np.argmax(np.ptp(target.points, axis=0))))
     moved = make_side(source, fit, fit.pose, source_weights * source_rest ** (1.0 - fit.mutuality), axis)
     still = make_side(target, fit, np.eye(4), target_weights * target_rest**fit.mutuality, axis)
     curvature, by_points, by_blocks = np.zeros((3, 6, 6))
@@ -331,6 +329,8 @@ class _ResidentSide:
             self._weights,
             np.where(self._weights > 0.0, shares, 0.0),
             CUT,
+            self._fit.colour,
+            own.colours,
         )
         rows[:, :SENSITIVITY] *= own.weights[:, None]
         rows[:, CURVATURE:] *= own.weights[:, None]

@@ -477,6 +477,18 @@ CUDA = {
         ("y[j, MATRIX] + a, planar)", "y[j, MATRIX], planar)"),
         ("y[j, MATRIX] + a, planar)", "y[j, MATRIX] + a, True)"),
     ],
+    "cuda/scores.py": [
+        ("likeness * height * math", "height * math"),
+        ("a.x, a.y, a.z, b.x", "a.x, a.y, a.y, b.x"),
+        ("F0 if q > cut", "F0 if q < cut"),
+        ("hue_of(hues, tile, t), cap)", "hue_of(hues, first, t), cap)"),
+        ("+ f20 - f02 -", "+ f02 - f20 -"),
+        ("w, e = weight * density, share * density\n    return", "w, e = weight * density, density\n    return"),
+        ("k12 - j.y * v.z + h21", "k12 - j.y * v.z - h21"),
+        ("u * (k22 - j.z", "w * (k22 - j.z"),
+        ("gap <= cut * (own[POINT - 1, k] + spread", "gap <= cut * (spread"),
+        ("q, m, cut, likeness, weight, share)", "m, q, cut, likeness, weight, share)"),
+    ],
     "cuda/moving.py": [
         ("moved[tile, X + 1, t] = y", "moved[tile, X + 1, t] = x"),
         ("packed_matrix_of(source, tile, t, scale)", "packed_matrix_of(source, tile, t, F1)"),
@@ -529,5 +541,6 @@ TESTS_OF = {
     | {
         "cuda/convolved_rows.py": CONVOLVED_PASSES,
         "cuda/convolved_columns.py": CONVOLVED_PASSES,
+        "cuda/scores.py": ["tests/kernels/cuda_simulator/test_cloud.py", "-k", "scores"],
     },
 }

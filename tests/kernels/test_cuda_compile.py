@@ -50,7 +50,7 @@ NARROW, WIDE = (BOXES, POINTS, TABLE, array(uint8, 1)), (TABLE, SUMS, TABLE, arr
 CENTRE, INDEX = types.UniTuple(float64, 3), array(int32, 1)
 FRAME = (CENTRE, float64, float64, float64, float64)
 PACK = (TABLE, INDEX, *FRAME, BOXES, BOXES, POINTS, BOXES)
-SCORES = (BOXES, POINTS, BOXES, float32, float32, BOXES, BOXES, float32, TABLE)
+SCORES = (BOXES, POINTS, BOXES, float32, float32, BOXES, BOXES, float32, POINTS, POINTS, float32, TABLE)
 KERNELS = [
     (moving.move_isotropic, MOVE),
     (moving.move_full, MOVE),
@@ -88,6 +88,10 @@ KERNELS = [
     (scores.score_sums_of_source, SCORES),
     (scores.score_sums_of_target_isotropic, SCORES),
     (scores.score_sums_of_target, SCORES),
+    (scores.coloured_sums_of_source_isotropic, SCORES),
+    (scores.coloured_sums_of_source, SCORES),
+    (scores.coloured_sums_of_target_isotropic, SCORES),
+    (scores.coloured_sums_of_target, SCORES),
     (surface.point_boxes, (TABLE, TABLE)),
     (surface.surface_covariances, (TABLE, TABLE, INDEX, TABLE)),
 ]
@@ -105,6 +109,10 @@ NAMES += [
     "scores of source",
     "scores of target isotropic",
     "scores of target",
+    "coloured scores of source isotropic",
+    "coloured scores of source",
+    "coloured scores of target isotropic",
+    "coloured scores of target",
     "point boxes",
     "surface",
 ]

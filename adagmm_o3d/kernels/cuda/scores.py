@@ -12,12 +12,13 @@ from numba import float64, int32
 from adagmm_o3d.kernels import layout
 from adagmm_o3d.kernels.cuda.front_end import F0, F1, TILE, cuda, fast, fast_kernel, formulas, source_stamp
 from adagmm_o3d.kernels.cuda.reductions import PADDED, reduce_tile
-from adagmm_o3d.kernels.cuda.shared_tile import combined, offset
+from adagmm_o3d.kernels.cuda.shared_tile import colour_of, combined, no_colour_of, offset
 from adagmm_o3d.kernels.cuda.tiles import BOX_VARIANCE, Packed, Point, isotropic_matrix_of, packed_matrix_of, point_of
 from adagmm_o3d.kernels.cuda.tuples import adder, column_storer
 
 symmetric_product, dot, cross = formulas.symmetric_product, formulas.dot, formulas.cross
 convolved_full = formulas.convolved_full
+capped_distance, density_of = formulas.capped_distance, formulas.density_of
 
 # Sums of a point: score (6), sensitivity (6), then for source points curvature (21), row by row.
 SENSITIVITY, CURVATURE, SUMS = 6, 12, 33
@@ -40,14 +41,15 @@ def unfolded(sums):
 
 
 @fast
-def geometry(d, a, b, cut):
-    """Of a pair with offset d and covariances a and b, S their sum: S⁻¹, S⁻¹ d, and its density, 0 beyond the cut."""
+def geometry(d, a, b, cut, likeness):
+    """Of a pair with offset d and covariances a and b, S their sum: S⁻¹, S⁻¹ d, and its density times `likeness`, what
+    its colours make of it, 0 beyond the cut."""
     s = combined(a, b)
     height, inverse, q, v0, v1, v2, c0, c1, c2, c3, c4, c5 = convolved_full(
         F1, d.x, d.y, d.z, s.xx, s.xy, s.xz, s.yy, s.yz, s.zz
     )
     precision = Packed(c0 * inverse, c1 * inverse, c2 * inverse, c3 * inverse, c4 * inverse, c5 * inverse)
-    density = F0 if q > cut else height * math.exp(-HALF * q)
+    density = F0 if q > cut else likeness * height * math.exp(-HALF * q)
     return precision, Point(v0 * inverse, v1 * inverse, v2 * inverse), density
 
 
@@ -71,9 +73,10 @@ def turning(y, b, c, v):
 
 
 @fast
-def scored(y, d, a, b, cut, weight, share):
-    """What a pair adds to the sums of a point: source point y with covariance b, offset d, target covariance a."""
-    c, v, density = geometry(d, a, b, cut)
+def scored(y, d, a, b, cut, likeness, weight, share):
+    """What a pair adds to the sums of a point: source point y with covariance b, offset d, target covariance a,
+    and what the colours make of it."""
+    c, v, density = geometry(d, a, b, cut, likeness)
     j, g, _ = turning(y, b, c, v)
     w, e = weight * density, share * density
     return (
@@ -83,9 +86,9 @@ def scored(y, d, a, b, cut, weight, share):
 
 
 @fast
-def curved(y, d, a, b, cut, weight, share):
+def curved(y, d, a, b, cut, likeness, weight, share):
     """The same with the curvature."""
-    c, v, density = geometry(d, a, b, cut)
+    c, v, density = geometry(d, a, b, cut, likeness)
     j, g, p = turning(y, b, c, v)
     w, e = weight * density, share * density
     # S ∂(S⁻¹ d)/∂ω is -[y - B v]ₓ - B [v]ₓ; h is S⁻¹ times that, column by column, and r what it does to y x v.
@@ -135,6 +138,18 @@ def curved(y, d, a, b, cut, weight, share):
 
 
 @fast
+def likeness_of_colours(a, b, cap):
+    """What the colours of two points make of their density, but for what any two make of it on average."""
+    return density_of(F1, capped_distance(a.x, a.y, a.z, b.x, b.y, b.z, cap))
+
+
+@fast
+def no_likeness(a, b, cap):
+    """The same where colours do not count."""
+    return F1
+
+
+@fast
 def is_in_reach(own, k, boxes, tile, spread, cut):
     """Whether a pair of point k with the points of a box can lie within the cut, their variances times `spread`."""
     gap = F0
@@ -144,22 +159,24 @@ def is_in_reach(own, k, boxes, tile, spread, cut):
     return gap <= cut * (own[POINT - 1, k] + spread * boxes[tile, BOX_VARIANCE])
 
 
-def _build(of_source, isotropic, stamp):
+def _build(of_source, isotropic, coloured, stamp):
     """The kernel for points of the source, with all sums, or of the target, with the first CURVATURE of them.
 
-    isotropic : of the matrices in the tiles.
+    isotropic : of the matrices in the tiles.   coloured : whether colours count.
     """
     count_of_sums = SUMS if of_source else CURVATURE
     add, store = adder(count_of_sums, fast), column_storer(count_of_sums, fast)
     none = (F0,) * count_of_sums
+    hue_of, likeness_of = (colour_of, likeness_of_colours) if coloured else (no_colour_of, no_likeness)
 
     @fast_kernel
-    def score_sums(own, other, boxes, scale, spread, weights, shares, cut, sums):
+    def score_sums(own, other, boxes, scale, spread, weights, shares, cut, own_hues, hues, cap, sums):
         """One block for each point k, whose threads take one point of a tile each, tile by tile.
 
         own : (POINT, K) float32.   other : (tiles, 4 + 1 or 6, TILE) the tiles of the other cloud, their matrices times
         `scale` its covariances; boxes : theirs, their variances times `spread`.   weights, shares : (tiles, TILE)
-        float32 of the other's points.   sums : (count_of_sums, K) float64, overwritten.
+        float32 of the other's points.   own_hues, hues : (1, 3, K) and (tiles, 3, TILE) float32 colours of both, read
+        where these count.   sums : (count_of_sums, K) float64, overwritten.
         """
         _ = stamp
         near = cuda.shared.array(TILE, int32)
@@ -168,6 +185,7 @@ def _build(of_source, isotropic, stamp):
         k = cuda.blockIdx.x
         p = Point(own[0, k], own[1, k], own[2, k])
         q = Packed(own[3, k], own[4, k], own[5, k], own[6, k], own[7, k], own[8, k])
+        own_hue = hue_of(own_hues, 0, k)
         count = other.shape[0]
         s = none
         for first in range(0, count, TILE):
@@ -187,10 +205,11 @@ def _build(of_source, isotropic, stamp):
                 else:
                     m = packed_matrix_of(other, tile, t, scale)
                 weight, share = weights[tile, t], shares[tile, t]
+                likeness = likeness_of(own_hue, hue_of(hues, tile, t), cap)
                 if of_source:
-                    s = add(s, curved(p, offset(p, x), m, q, cut, weight, share))
+                    s = add(s, curved(p, offset(p, x), m, q, cut, likeness, weight, share))
                 else:
-                    s = add(s, scored(x, offset(x, p), q, m, cut, weight, share))
+                    s = add(s, scored(x, offset(x, p), q, m, cut, likeness, weight, share))
             cuda.syncthreads()
         store(block, 0, t, s)
         cuda.syncthreads()
@@ -199,7 +218,11 @@ def _build(of_source, isotropic, stamp):
     return score_sums
 
 
-score_sums_of_source = _build(True, False, source_stamp())
-score_sums_of_source_isotropic = _build(True, True, source_stamp())
-score_sums_of_target = _build(False, False, source_stamp())
-score_sums_of_target_isotropic = _build(False, True, source_stamp())
+score_sums_of_source = _build(True, False, False, source_stamp())
+score_sums_of_source_isotropic = _build(True, True, False, source_stamp())
+score_sums_of_target = _build(False, False, False, source_stamp())
+score_sums_of_target_isotropic = _build(False, True, False, source_stamp())
+coloured_sums_of_source = _build(True, False, True, source_stamp())
+coloured_sums_of_source_isotropic = _build(True, True, True, source_stamp())
+coloured_sums_of_target = _build(False, False, True, source_stamp())
+coloured_sums_of_target_isotropic = _build(False, True, True, source_stamp())

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import open3d as o3d
 
 from adagmm_o3d import estimate_surface_covariances
+from adagmm_o3d.mixtures.colours import ColourModel
 from adagmm_o3d.mixtures.mixture import Mixture, make_mixture
 from adagmm_o3d.mixtures.normalisation import normalise
 from adagmm_o3d.pairs.cpu_pairs import PairLoop
@@ -17,6 +19,8 @@ from adagmm_o3d.trust.pose_covariance import SCORED, Fit, score_moments
 # The mixtures are float64, but for the digits that thin covariances lose. Neighbours at nearly the same distance may
 # change places. The scores are sums of float32.
 EXACT, CLOSE, SUMMED = 1e-9, 1e-7, 1e-4
+# How far colours differ from one another and between two looks at a place [L*a*b*].
+COLOURS = 10.0
 SIGMA, UNMATCHED, MUTUALITY = 0.02, 0.2, 0.5
 
 
@@ -24,7 +28,6 @@ def cloud_errors(source: Mixture, target: Mixture, pose: np.ndarray) -> Iterator
     """What, its error relative to the largest entry, and the tolerance."""
     from adagmm_o3d.kernels.cuda.front_end import cuda
     from adagmm_o3d.mixtures.device_mixture import device_mixture
-    from adagmm_o3d.pairs.cuda_pairs import CudaPairLoop
 
     on_card = [
         device_mixture("cloud", cuda.to_device(mixture.points), cuda.to_device(mixture.covariances))
@@ -40,16 +43,32 @@ def cloud_errors(source: Mixture, target: Mixture, pose: np.ndarray) -> Iterator
         yield f"{name} covariances", _relative(everything.covariances, theirs.covariances), EXACT
         yield f"{name} variances", _relative(ours.variances, theirs.variances), EXACT
     fit = Fit(pose, SIGMA, UNMATCHED, MUTUALITY)
-    scores = score_moments(CudaPairLoop(moving_there, fixed_there), moving_there, fixed_there, fit)
-    expected_scores = score_moments(PairLoop(moving, fixed), moving, fixed, fit)
-    if max(len(source), len(target)) <= SCORED:  # else the two look at different points
-        for what in ("curvature", "by_points", "by_blocks"):
-            yield f"scores, {what}", _relative(getattr(scores, what), getattr(expected_scores, what)), SUMMED
-    yield "probabilities of a partner", _relative(scores.matched, expected_scores.matched), SUMMED
+    yield from _score_errors("", (moving_there, fixed_there), (moving, fixed), fit)
+    rng = np.random.default_rng(0)
+    colours = [COLOURS * rng.normal(size=(len(mixture), 3)) for mixture in (moving, fixed)]
+    painted_there, painted = (
+        [mixture.coloured(own) for mixture, own in zip(pair, colours, strict=True)]
+        for pair in ((moving_there, fixed_there), (moving, fixed))
+    )
+    model = ColourModel(np.full(3, COLOURS), np.ones(3), np.zeros(3), lying=0.1, floor=1.5, expected=0.4)
+    yield from _score_errors("coloured ", painted_there, painted, replace(fit, colour=model))
     if len(target) > 3:
         surface = device_mixture("cloud", cuda.to_device(target.points), None)
         surface_there = make_mixture("cloud", target.points, estimate_surface_covariances(target.points))
         yield "surface covariances", _relative(surface.covariances, surface_there.covariances), CLOSE
+
+
+def _score_errors(
+    kind: str, there: Sequence[Mixture], here: Sequence[Mixture], fit: Fit
+) -> Iterator[tuple[str, float, float]]:
+    """The same of the scores of mixtures on the card and on the host."""
+    from adagmm_o3d.pairs.cuda_pairs import CudaPairLoop
+
+    scores, expected = score_moments(CudaPairLoop(*there), *there, fit), score_moments(PairLoop(*here), *here, fit)
+    if max(map(len, here)) <= SCORED:  # else the two look at different points
+        for what in ("curvature", "by_points", "by_blocks"):
+            yield f"{kind}scores, {what}", _relative(getattr(scores, what), getattr(expected, what)), SUMMED
+    yield f"{kind}probabilities of a partner", _relative(scores.matched, expected.matched), SUMMED
 
 
 def check_tensors(rng: np.random.Generator) -> Iterator[tuple[str, float]]:

@@ -17,7 +17,7 @@ def run(monkeypatch):
 
 def test_right_kernels_pass(monkeypatch):
     results = run(monkeypatch)
-    assert len(results) == 2 * 10 + 2 * (10 + 13)
+    assert len(results) == 2 * 10 + 2 * (10 + 13 + 4)
     assert [check for check in results if not check.passed] == []
 
 
@@ -31,7 +31,7 @@ def test_a_pass_that_leaves_something_unwritten_is_found(monkeypatch):
     assert failed == {
         "column densities",
         *(f"convolved {what}" for what in ("Hessian", "gradient", "energy")),
-        *(f"scores, {what}" for what in ("curvature", "by_points", "by_blocks")),
+        *(f"{kind}scores, {what}" for kind in ("", "coloured ") for what in ("curvature", "by_points", "by_blocks")),
     }
 
 

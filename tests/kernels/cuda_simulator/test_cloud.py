@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from mixtures import random_points_and_covariances, random_pose
+from mixtures import random_colours, random_points_and_covariances, random_pose
 
 from adagmm_o3d import estimate_surface_covariances, mark_outliers
 from adagmm_o3d.errors import AdaGMMError
@@ -236,13 +236,18 @@ def test_a_surface_needs_four_points():
     assert str(caught.value) == str(expected.value)
 
 
+@pytest.mark.parametrize("coloured", [False, True])
 @pytest.mark.parametrize(("make", "mutuality"), [(full, 0.0), (full, 0.5), (round_ones, 0.3), (flagged, 0.5)])
-def test_scores_are_those_of_the_host(make, mutuality, no_points_on_the_host):
+def test_scores_are_those_of_the_host(make, mutuality, coloured, no_points_on_the_host):
     host, device = on_both(make(6))
+    model = None
+    if coloured:
+        colours, model = random_colours(*SIZES)
+        host, device = ([m.coloured(c) for m, c in zip(pair, colours, strict=True)] for pair in (host, device))
     host, device = normalise(*host)[:2], normalise(*device)[:2]
     pose = random_pose(np.random.default_rng(6), 3, angle=0.2, distance=0.1)
     # so small a σ that most tiles are out of each other's reach
-    fit = Fit(pose, 2e-3, 0.2, mutuality)
+    fit = Fit(pose, 2e-3, 0.2, mutuality, model)
     expected = score_moments(PairLoop(*host), *host, fit)
     scores = score_moments(cuda_pairs.CudaPairLoop(*device), *device, fit)
     for what in ("curvature", "by_points", "by_blocks", "matched"):

@@ -104,6 +104,26 @@ def test_normals_speak_there_as_well(some_missing, voxel_size):
     np.testing.assert_allclose(result.transformation.numpy(), expected.transformation.numpy(), rtol=0, atol=1e-6)
 
 
+@pytest.mark.parametrize("what", ["colors", "intensity"])
+def test_colours_count_there_as_well(what):
+    source, target, T = pair(True, o3d.core.float64)
+    places = target.point.positions.numpy()
+    paint = 0.5 + 0.4 * np.sin(3.0 * places + np.arange(3))
+    for cloud, darker in ((source, 0.6), (target, 1.0)):
+        cloud.point[what] = o3d.core.Tensor(darker * (paint if what == "colors" else 200.0 * paint[:, :1]))
+    method = TransformationEstimationForAdaptiveGMM(mutuality=0.5, color=True)
+    options = {"estimation_method": method, "criteria": CRITERIA}
+    expected = registration_adaptive_gmm(source, target, 0.1, device="cpu", **options)
+    result = registration_adaptive_gmm(source, target, 0.1, **options)
+    np.testing.assert_allclose(result.transformation.numpy(), expected.transformation.numpy(), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(result.transformation.numpy(), T, rtol=0, atol=1e-3)
+    ours, theirs = result.details, expected.details
+    np.testing.assert_allclose(ours.color.deviations, theirs.color.deviations, rtol=1e-4, atol=0)
+    np.testing.assert_allclose(ours.color_support, theirs.color_support, rtol=1e-4, atol=1e-4)
+    scale = np.abs(theirs.pose_covariance).max()
+    np.testing.assert_allclose(ours.pose_covariance, theirs.pose_covariance, rtol=1e-3, atol=1e-4 * scale)
+
+
 def test_covariances_of_the_wrong_shape_are_refused():
     source, target, _ = pair(False, o3d.core.float64)
     target.point.covariances = o3d.core.Tensor(np.ones((len(target.point.positions), 9)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -45,11 +45,9 @@ def cloud_errors(source: Mixture, target: Mixture, pose: np.ndarray) -> Iterator
     fit = Fit(pose, SIGMA, UNMATCHED, MUTUALITY)
     yield from _score_errors("", (moving_there, fixed_there), (moving, fixed), fit)
     rng = np.random.default_rng(0)
-    colours = [COLOURS * rng.normal(size=(len(mixture), 3)) for mixture in (moving, fixed)]
-    painted_there, painted = (
-        [mixture.coloured(own) for mixture, own in zip(pair, colours, strict=True)]
-        for pair in ((moving_there, fixed_there), (moving, fixed))
-    )
+    first, second = (COLOURS * rng.normal(size=(len(mixture), 3)) for mixture in (moving, fixed))
+    painted_there = moving_there.coloured(first), fixed_there.coloured(second)
+    painted = moving.coloured(first), fixed.coloured(second)
     model = ColourModel(np.full(3, COLOURS), np.ones(3), np.zeros(3), lying=0.1, floor=1.5, expected=0.4)
     yield from _score_errors("coloured ", painted_there, painted, replace(fit, colour=model))
     if len(target) > 3:
@@ -59,7 +57,7 @@ def cloud_errors(source: Mixture, target: Mixture, pose: np.ndarray) -> Iterator
 
 
 def _score_errors(
-    kind: str, there: Sequence[Mixture], here: Sequence[Mixture], fit: Fit
+    kind: str, there: tuple[Mixture, Mixture], here: tuple[Mixture, Mixture], fit: Fit
 ) -> Iterator[tuple[str, float, float]]:
     """The same of the scores of mixtures on the card and on the host."""
     from adagmm_o3d.pairs.cuda_pairs import CudaPairLoop

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -50,6 +50,51 @@ SAME_RADIUS = 1e-9
 SLOW = 0.01
 
 
+@dataclass(frozen=True)
+class _Task:
+    """What is asked for: two normalised mixtures to register, and how.
+
+    given : (4, 4) the start between them, or None.   everywhere : whether nothing is known of the pose.   axis : (3,)
+    the only one to turn about, or zero.   seen_from : the viewpoints of both.
+    """
+
+    moving: Mixture
+    fixed: Mixture
+    normalisation: Normalisation
+    given: Array | None
+    everywhere: bool
+    axis: Array
+    seen_from: tuple[Array | None, Array | None]
+    method: TransformationEstimationForAdaptiveGMM
+    limits: Criteria
+    device: str
+    observe: Callable[[Iteration], None] | None
+
+
+def _unknown() -> PoseUncertainty:
+    """Of a pose that the paper's own rules found, or that no pair speaks for."""
+    return PoseUncertainty(None, ())
+
+
+def _none() -> None:
+    """Of a pose that no pair speaks for."""
+
+
+@dataclass(frozen=True)
+class _Ended:
+    """Where it has ended, from which start, both from `moving` to `fixed`; weigh, assess : see `Answers`.
+
+    ambiguous : whether the search found another pose as good.   fit : that of the last level, if there was one.
+    """
+
+    start: Array
+    outcome: Outcome
+    weigh: Callable[[], Verdict | None]
+    assess: Callable[[], PoseUncertainty] = _unknown
+    ambiguous: bool = False
+    fit: Fit | None = None
+
+
 def register_mixtures(
     moving: Mixture,
     fixed: Mixture,
@@ -73,99 +118,115 @@ def register_mixtures(
         given = _check_gravity(axis, given, dimension)
     if limits.max_iteration == 0:
         return _stay(moving, fixed, init, given, normalisation)
-    ambiguous, assess = False, _unknown
-    weigh: Callable[[], Verdict | None] = _none
-    fit: Fit | None = None
-    if method.sigma_rule == "posterior":
-        clouds = Condensed(moving), Condensed(fixed)
-        seen_from, turned = normalisation.points_in(*viewpoints), comes_second(moving, fixed)
-        sides = clouds[0].searched, clouds[1].searched
-        searched = Levels(*(sides[::-1] if turned else sides), SCHEDULE, axis)
-        judge = Deferred(partial(_judge_of, searched, seen_from[::-1] if turned else seen_from))
-        identity = normalisation.pose_in(np.eye(4))
-        if given is not None and np.allclose(given, identity, rtol=0, atol=1e-9):
-            given = None
-        found = find(
-            searched,
-            given=inverse_of(given) if turned and given is not None else given,
-            identity=None if method.start == "centroids" else inverse_of(identity) if turned else identity,
-            centroids=method.start != "init",
-            everywhere=everywhere,
-            search=method.search,
-            judge=judge,
-            viewpoints=seen_from[::-1] if turned else seen_from,
-        )
-        ambiguous = found.ambiguous
-        # Either direction of a pair is one problem for the refinement, too, whose pairs do not look alike from both
-        # clouds. It goes by the clouds' radii, which points given several times do not change. With colours it is the
-        # caller's: what is learnt of them belongs to it.
-        dense, coloured = any(cloud.dense for cloud in clouds), moving.colours is not None
-        inverted = not coloured and refines_inverse(normalisation, dense=dense, turned=turned)
-        best, limits = _within(limits, found.end if inverted == turned else inverse_end(found.end))
-        best = best._replace(pose=se_exp(np.round(se_log(best.pose), DIGITS)), sigma=float(f"{best.sigma:.{DIGITS}g}"))
-        if observe is not None and inverted:
-            observe = _of_inverse(observe)
-        if observe is not None:
-            for iteration in best.iterations:
-                observe(iteration)
-        levels = searched if inverted == turned else Levels(searched.target, searched.source, SCHEDULE, axis)
-        refined = refine(
-            levels,
-            clouds[::-1] if inverted else clouds,
-            best,
-            limits,
-            device=device,
-            mutuality=_mutuality(method, levels),
-            relaxation=method.relaxation,
-            observe=observe,
-        )
-        outcome, fit = refined.outcome, refined.fit
-        if outcome.stop_reason is not StopReason.NO_OVERLAP:
-            assess = partial(
-                uncertainty_out,
-                refined.pairs,
-                refined.source,
-                refined.target,
-                refined.fit,
-                normalisation,
-                inverse=inverted,
-            )
-            if method.gravity is not None:
-                assess = partial(_assess_upright, assess, axis)
-            weigh = partial(_weigh, judge, outcome.pose if inverted == turned else inverse_of(outcome.pose), turned)
-        start = inverse_of(best.start) if inverted else best.start
-        if inverted:
-            outcome = Outcome(inverse_of(outcome.pose), tuple(map(_inverse, outcome.iterations)), outcome.stop_reason)
-    else:
-        if everywhere:
-            raise InputError(f"init: 'global' needs sigma_rule 'posterior', got {method.sigma_rule!r}")
-        identity = normalisation.pose_in(np.eye(4))
-        start = given if given is not None else identity if method.start == "init" else np.eye(4)
-        pairs = make_pair_loop(moving, fixed, device)
-        limits = replace(limits, relative_rmse=SLOW * limits.relative_rmse)
-        expectation = AdaptiveExpectation(pairs, _sigma_rule(method, dimension), start)
-        outcome = expectation_maximisation(
-            expectation, start, limits, dimension, relaxation=method.relaxation, axis=axis, observe=observe
-        )
-        if outcome.stop_reason is not StopReason.NO_OVERLAP:
-            seen_from = normalisation.points_in(*viewpoints)
-            weigh = partial(_weigh, Deferred(partial(_judge_at_last, moving, fixed, seen_from)), outcome.pose, False)
+    seen_from = normalisation.points_in(*viewpoints)
+    task = _Task(moving, fixed, normalisation, given, everywhere, axis, seen_from, method, limits, device, observe)
+    ended = _by_posteriors(task) if method.sigma_rule == "posterior" else _by_the_papers_weights(task)
     find_partners = partial(no_partners, moving)
     compare_colors: Callable[[], Array] | None = None
-    if outcome.stop_reason is not StopReason.NO_OVERLAP:
+    fit = ended.fit
+    if ended.outcome.stop_reason is not StopReason.NO_OVERLAP:
         if fit is not None and fit.colour is not None:
             compare_colors = partial(color_support, moving, fixed, fit, device)
-        find_partners = partial(partners_at, moving, fixed, outcome.pose)
+        find_partners = partial(partners_at, moving, fixed, ended.outcome.pose)
     return conclude(
-        start,
-        outcome,
+        ended.start,
+        ended.outcome,
         normalisation,
         moving,
         fixed,
-        Answers(find_partners, assess, weigh, compare_colors),
-        ambiguous=ambiguous,
+        Answers(find_partners, ended.assess, ended.weigh, compare_colors),
+        ambiguous=ended.ambiguous,
         colour=None if fit is None else fit.colour,
     )
+
+
+def _by_posteriors(task: _Task) -> _Ended:
+    """The search, and its end carried to convergence."""
+    normalisation, method, limits, observe = task.normalisation, task.method, task.limits, task.observe
+    clouds = Condensed(task.moving), Condensed(task.fixed)
+    turned = comes_second(task.moving, task.fixed)
+    seen_from = task.seen_from[::-1] if turned else task.seen_from
+    sides = clouds[0].searched, clouds[1].searched
+    searched = Levels(*(sides[::-1] if turned else sides), SCHEDULE, task.axis)
+    judge = Deferred(partial(_judge_of, searched, seen_from))
+    identity, given = normalisation.pose_in(np.eye(4)), task.given
+    if given is not None and np.allclose(given, identity, rtol=0, atol=1e-9):
+        given = None
+    found = find(
+        searched,
+        given=inverse_of(given) if turned and given is not None else given,
+        identity=None if method.start == "centroids" else inverse_of(identity) if turned else identity,
+        centroids=method.start != "init",
+        everywhere=task.everywhere,
+        search=method.search,
+        judge=judge,
+        viewpoints=seen_from,
+    )
+    # Either direction of a pair is one problem for the refinement, too, whose pairs do not look alike from both clouds.
+    # It goes by the clouds' radii, which points given several times do not change. With colours it is the caller's:
+    # what is learnt of them belongs to it.
+    dense, coloured = any(cloud.dense for cloud in clouds), task.moving.colours is not None
+    inverted = not coloured and refines_inverse(normalisation, dense=dense, turned=turned)
+    best, limits = _within(limits, found.end if inverted == turned else inverse_end(found.end))
+    best = best._replace(pose=se_exp(np.round(se_log(best.pose), DIGITS)), sigma=float(f"{best.sigma:.{DIGITS}g}"))
+    if observe is not None and inverted:
+        observe = _of_inverse(observe)
+    if observe is not None:
+        for iteration in best.iterations:
+            observe(iteration)
+    levels = searched if inverted == turned else Levels(searched.target, searched.source, SCHEDULE, task.axis)
+    refined = refine(
+        levels,
+        clouds[::-1] if inverted else clouds,
+        best,
+        limits,
+        device=task.device,
+        mutuality=_mutuality(method, levels),
+        relaxation=method.relaxation,
+        observe=observe,
+    )
+    outcome, start = refined.outcome, best.start
+    assess: Callable[[], PoseUncertainty] = _unknown
+    weigh: Callable[[], Verdict | None] = _none
+    if outcome.stop_reason is not StopReason.NO_OVERLAP:
+        mixtures = refined.pairs, refined.source, refined.target
+        assess = partial(uncertainty_out, *mixtures, refined.fit, normalisation, inverse=inverted)
+        if method.gravity is not None:
+            assess = partial(_assess_upright, assess, task.axis)
+        weigh = partial(_weigh, judge, outcome.pose if inverted == turned else inverse_of(outcome.pose), turned)
+    if inverted:
+        outcome = Outcome(inverse_of(outcome.pose), tuple(map(_inverse, outcome.iterations)), outcome.stop_reason)
+        start = inverse_of(start)
+    return _Ended(start, outcome, weigh, assess, found.ambiguous, refined.fit)
+
+
+def _by_the_papers_weights(task: _Task) -> _Ended:
+    """EM from one start, with the paper's weights and one of its rules for σ."""
+    method, dimension = task.method, task.moving.dimension
+    if task.everywhere:
+        raise InputError(f"init: 'global' needs sigma_rule 'posterior', got {method.sigma_rule!r}")
+    start = np.eye(4)
+    if task.given is not None:
+        start = task.given
+    elif method.start == "init":
+        start = task.normalisation.pose_in(np.eye(4))
+    expectation = AdaptiveExpectation(
+        make_pair_loop(task.moving, task.fixed, task.device), _sigma_rule(method, dimension), start
+    )
+    outcome = expectation_maximisation(
+        expectation,
+        start,
+        replace(task.limits, relative_rmse=SLOW * task.limits.relative_rmse),
+        dimension,
+        relaxation=method.relaxation,
+        axis=task.axis,
+        observe=task.observe,
+    )
+    weigh: Callable[[], Verdict | None] = _none
+    if outcome.stop_reason is not StopReason.NO_OVERLAP:
+        judge = Deferred(partial(_judge_at_last, task.moving, task.fixed, task.seen_from))
+        weigh = partial(_weigh, judge, outcome.pose, False)
+    return _Ended(start, outcome, weigh)
 
 
 def _assess_upright(assess: Callable[[], PoseUncertainty], axis: Array) -> PoseUncertainty:
@@ -194,10 +255,6 @@ def _judge_at_last(moving: Mixture, fixed: Mixture, viewpoints: tuple[Array | No
 
 def _weigh(judge: Deferred[Judge], pose: Array, turned: bool) -> Verdict:
     return verdict.weigh(judge(), pose, turned=turned)
-
-
-def _none() -> None:
-    """Of a pose that no pair speaks for."""
 
 
 def comes_second(source: Mixture, target: Mixture) -> bool:
@@ -261,11 +318,6 @@ def _stay(
     )
     start = np.eye(dimension + 1) if init is None else np.array(init, np.float64)
     return replace(result, transformation=start, transformations=start[None].copy())
-
-
-def _unknown() -> PoseUncertainty:
-    """Of a pose that the paper's own rules found, or that no pair speaks for."""
-    return PoseUncertainty(None, ())
 
 
 def _mutuality(method: TransformationEstimationForAdaptiveGMM, levels: Levels) -> float:

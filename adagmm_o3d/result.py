@@ -47,7 +47,7 @@ LEAST_OVERLAP = 0.1
 LEAST_EVIDENCE = 0.25
 # A pose that is as probably wrong as right, from what is seen of it alone, is not to be trusted.
 LEAST_BELIEF = 0.5
-# By less than this a pose is no better than half a turn from there [nats per point].
+# By less than this a pose is no better than one that is turned from there [nats per point].
 LEAST_MARGIN = 0.1
 
 
@@ -74,18 +74,19 @@ class PoseUncertainty:
 class Verdict:
     """What speaks for a pose; None of what so few points cannot tell.
 
-    evidence : see `PointRegistrationResult.evidence`.   share, relative : of the points of both clouds, those that lie
-    on the other's surface; and of those near it, in units of that share between the halves of one cloud.   margin : by
-    how much the pose explains the clouds better than half a turn from there [nats per point]; infinity where that is
-    the same.   scale : factor by which the source would have to be scaled, where its size is clearly another one, else
-    None.   over_image : by how much the pose explains the clouds better than the mirror image of the source does, where
-    that was looked at.   mirrored : whether that image fits so clearly better that it must be one.   belief : the
-    probability that the pose is right.
+    evidence : see `PointRegistrationResult.evidence`.   share : of the points of both clouds, those that lie on the
+    other's surface.   held : of those that lie where the other's surface goes on, the share on it, in units of that
+    share between the halves of one cloud.   margin : by how much the pose explains the clouds better than one
+    that is turned from there by half a turn or a quarter [nats per point]; infinity where all of these are the same.
+    scale : factor by which the source would have to be scaled, where its size is clearly another one, else None.
+    over_image : by how much the pose explains the clouds better than the mirror image of the source does, where that
+    was looked at; 0 where an image that does better says nothing.   mirrored : whether that fits so clearly better that
+    it must be one.   belief : the probability that the pose is right.
     """
 
     evidence: float
     share: float | None = None
-    relative: float | None = None
+    held: float | None = None
     margin: float | None = None
     scale: float | None = None
     over_image: float | None = None
@@ -220,8 +221,8 @@ class PointRegistrationResult:
 
     @property
     def belief(self) -> float | None:
-        """The probability that the pose is right, where as many are wrong: from how far the surfaces agree where they
-        meet, how much of them does, and whether half a turn does as well; see the module `trust.verdict`. None where
+        """The probability that the pose is right, where as many are wrong: from how far the surfaces agree where
+        either goes on, and whether a turn or the mirror image does as well; see the module `trust.verdict`. None where
         `evidence` is, and for clouds of less than thirty points."""
         verdict = self.weigh()
         return None if verdict is None else verdict.belief
@@ -269,7 +270,7 @@ def _objections(verdict: Verdict) -> list[str]:
         reasons.append("the mirror image of the source fits better: one of the clouds has an axis the wrong way round")
     elif verdict.belief is not None and verdict.belief < LEAST_BELIEF:
         if verdict.margin is not None and verdict.margin < LEAST_MARGIN:
-            reasons.append("half a turn from here the clouds fit as well or better: a nearly symmetric shape")
+            reasons.append("turned from here the clouds fit as well or better: a nearly symmetric shape")
         else:
             reasons.append(
                 "where the clouds meet they agree too little: the pose is right with a probability of "

@@ -13,27 +13,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adagmm_o3d.arguments import Array
-from adagmm_o3d.em.runs import Limits, Start, run_starts
 from adagmm_o3d.mixtures.merging import MergedMixture
-from adagmm_o3d.mixtures.sampling import some_of
 from adagmm_o3d.trust.judge import Judge
+from adagmm_o3d.trust.rivals import best_of, refined
 
-# Points of either cloud that images are refined on, and how.
-POINTS = 500
-SIGMA, UNMATCHED, FASTEST, ITERATIONS = 0.02, 0.4, 0.7, 20
-LIMITS = Limits(floor=1e-4, least_unmatched=0.05, relative_rmse=1e-4)
+# The width that images are refined from.
+SIGMA = 0.02
+# An image that, refined roughly, explains the clouds worse by so much [nats per point] is far off, and left at that.
+FAR_OFF = 1.5
 # Which image of the source it is does not matter: a motion makes one of the other.
 REFLECTION = np.diag([-1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True)
 class MirrorImage:
-    """source, target : the mirror image of the source, and the target as it is.   pose : (4, 4) where that lies on this
-    best.   margin : by how much they explain each other better there than the clouds do at the pose that was found
-    [nats per point, both clouds together]; about 0 of a body that is its own mirror image."""
+    """pose : (4, 4) where the mirror image of the source lies on the target best.   margin : by how much they explain
+    each other better there than the clouds do at the pose that was found [nats per point, both clouds together]; about
+    0 of a body that is its own mirror image."""
 
-    source: MergedMixture
-    target: MergedMixture
     pose: Array
     margin: float
 
@@ -42,11 +39,14 @@ def fit_mirror_image(judge: Judge, pose: Array) -> MirrorImage:
     """The mirror image of the judge's source in place of the source at a pose (4, 4)."""
     source, target = judge.sides
     image = reflected(source)
-    # what was found is refined alike, so that only the shape decides
-    own = judge.explained(judge.sides, [pose, *_refined(source, target, [pose])])
-    poses = _refined(image, target, _image_poses(judge.sides, pose))
-    explained = judge.explained((image, target), poses)
-    return MirrorImage(image, target, poses[int(explained.argmax())], float(explained.max() - own.max()))
+    poses = refined((image, target), _image_poses(judge.sides, pose), 0, SIGMA)
+    own, explained = judge.explained(judge.sides, [pose]), judge.explained((image, target), poses)
+    if explained.max() > own.max() - FAR_OFF:
+        # what was found is refined alike, so that only the shape decides
+        own = judge.explained(judge.sides, [pose, *refined(judge.sides, [pose], 1, SIGMA)])
+        poses = refined((image, target), best_of(poses, explained), 1, SIGMA)
+        explained = judge.explained((image, target), poses)
+    return MirrorImage(poses[int(explained.argmax())], float(explained.max() - own.max()))
 
 
 def reflected(side: MergedMixture) -> MergedMixture:
@@ -57,13 +57,6 @@ def reflected(side: MergedMixture) -> MergedMixture:
         covariances=REFLECTION @ side.covariances @ REFLECTION,
         spreads=REFLECTION @ side.spreads @ REFLECTION,
     )
-
-
-def _refined(source: MergedMixture, target: MergedMixture, poses: list[Array]) -> list[Array]:
-    """Where poses lead, each of them alike."""
-    source, target = (side.take(some_of(np.arange(len(side.points)), POINTS)) for side in (source, target))
-    starts = [Start(pose, SIGMA, UNMATCHED, FASTEST, ITERATIONS, follow=0.0) for pose in poses]
-    return [end.pose for end in run_starts(source, target, starts, limits=LIMITS, level=0)]
 
 
 def _image_poses(sides: tuple[MergedMixture, MergedMixture], pose: Array) -> list[Array]:

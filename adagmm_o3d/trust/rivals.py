@@ -1,7 +1,8 @@
-"""The mistake that a nearly symmetric shape invites: the same pose, half a turn off, explains the clouds as well.
+"""The mistake that a nearly symmetric shape invites: another pose, turned from here, explains the clouds as well.
 
-A search from nearby never comes there, so the end that it found is turned by half a turn about each axis of the matched
-shape, refined briefly, and compared.
+A search from nearby never comes there. So the pose that was found is turned: by half a turn about each axis of the
+matched shape and about others all around, as the axes of a round shape are anybody's guess, and by quarter turns, as of
+a square room. What comes to lie near the target is refined briefly, the best of that further, and compared.
 """
 
 from __future__ import annotations
@@ -15,27 +16,83 @@ from adagmm_o3d.em.runs import Limits, Start, pose_distance, run_starts
 from adagmm_o3d.lie import so_exp
 from adagmm_o3d.mixtures.merging import MergedMixture
 from adagmm_o3d.mixtures.sampling import some_of
+from adagmm_o3d.neighbors import NeighborIndex
+from adagmm_o3d.trust.judge import Judge
 
-# Points of either cloud that they are refined on, and how.
-POINTS = 500
-SIGMA, UNMATCHED, FASTEST, ITERATIONS = 0.01, 0.4, 0.7, 20
+# Axes all around that half turns are tried about, and by how many points of the source and how near the target each
+# turn is looked at [radii]; the turns that are followed, which differ by more than so much [rad].
+AXES, LOOKED_AT, REACH, FOLLOWED, DIFFERENT = 40, 150, 0.12, 6, 0.5
+# Points of either cloud that they are refined on, and the iterations: all of them at first, then the best.
+POINTS, ITERATIONS, BEST = (250, 500), (12, 20), 2
+SIGMA, UNMATCHED, FASTEST = 0.01, 0.4, 0.7
 LIMITS = Limits(floor=1e-4, least_unmatched=0.05, relative_rmse=1e-4)
 # What is nearer is the same pose, as of a round shape.
 APART = 0.5
+# In the plane, where there is one axis.
+TURNS_IN_PLANE = (math.pi, 0.5 * math.pi, -0.5 * math.pi, 0.75 * math.pi, -0.75 * math.pi)
 
 
-def half_turned(sides: tuple[MergedMixture, MergedMixture], pose: Array) -> list[Array]:
-    """Where a pose (4, 4) between two normalised mixtures leads when it is turned by half a turn; other poses only."""
-    source, target = (side.take(some_of(np.arange(len(side.points)), POINTS)) for side in sides)
+def margin_over_turned(judge: Judge, pose: Array) -> float:
+    """By how much a pose (4, 4) explains the judge's clouds better than any turned from there does [nats per point];
+    infinity where all of them lead back to it."""
+    sides = judge.sides
+
+    def others(poses: list[Array], stage: int) -> list[Array]:
+        return [end for end in refined(sides, poses, stage, SIGMA) if pose_distance(end, pose) > APART]
+
+    ends = others(_turned(sides, pose), 0)
+    if ends:
+        ends = others(best_of(ends, judge.explained(sides, ends)), 1)
+    return judge.confidence(pose, 1.0) - max((judge.confidence(end, 1.0) for end in ends), default=-math.inf)
+
+
+def refined(sides: tuple[MergedMixture, MergedMixture], poses: list[Array], stage: int, sigma: float) -> list[Array]:
+    """Where poses lead, each of them alike: roughly in stage 0, in stage 1 to the end."""
+    source, target = (side.take(some_of(np.arange(len(side.points)), POINTS[stage])) for side in sides)
+    starts = [Start(pose, sigma, UNMATCHED, FASTEST, ITERATIONS[stage], follow=0.0) for pose in poses]
+    return [end.pose for end in run_starts(source, target, starts, limits=LIMITS, level=0)]
+
+
+def best_of(poses: list[Array], explained: Array) -> list[Array]:
+    """The few that explain the clouds best, of poses and (k,) how well each does."""
+    return [poses[i] for i in np.argsort(-explained, kind="stable")[:BEST]]
+
+
+def _turned(sides: tuple[MergedMixture, MergedMixture], pose: Array) -> list[Array]:
+    """Poses (4, 4) turned from this one that take the source near the target, the nearest first."""
+    source, target = sides
     moved = source.points @ pose[:3, :3].T + pose[:3, 3]
     centre = moved.mean(axis=0)
-    # in the plane the one axis there is
-    axes = np.linalg.eigh(np.cov(moved.T))[1].T if source.dimension == 3 else np.eye(3)[2:]
-    starts = []
-    for axis in axes:
-        turned = np.eye(4)
-        turned[:3, :3] = so_exp(math.pi * axis)
-        turned[:3, 3] = centre - turned[:3, :3] @ centre
-        starts.append(Start(turned @ pose, SIGMA, UNMATCHED, FASTEST, ITERATIONS, follow=0.0))
-    ends = run_starts(source, target, starts, limits=LIMITS, level=0)
-    return [end.pose for end in ends if pose_distance(end.pose, pose) > APART]
+    turns = np.array(_turns(moved, source.dimension))
+    few = moved[some_of(np.arange(len(moved)), LOOKED_AT)] - centre
+    squares = NeighborIndex(np.ascontiguousarray(target.points)).query(
+        (few @ turns.transpose(0, 2, 1)).reshape(-1, 3) + centre
+    )[1]
+    near = np.exp(-squares.reshape(len(turns), -1) / (2.0 * REACH**2)).mean(axis=1)
+    followed: list[Array] = []
+    for turn in turns[np.argsort(-near, kind="stable")]:
+        if all(np.trace(turn.T @ other) < 1.0 + 2.0 * math.cos(DIFFERENT) for other in followed):
+            followed.append(turn)
+        if len(followed) == FOLLOWED:
+            break
+    poses = np.tile(np.eye(4), (len(followed), 1, 1))
+    poses[:, :3, :3] = followed
+    poses[:, :3, 3] = centre - poses[:, :3, :3] @ centre
+    return list(poses @ pose)
+
+
+def _turns(points: Array, dimension: int) -> list[Array]:
+    """Rotations (3, 3) by half turns and quarter turns."""
+    if dimension == 2:
+        return [so_exp(np.array([0.0, 0.0, angle])) for angle in TURNS_IN_PLANE]
+    own = np.linalg.eigh(np.cov(points.T))[1].T
+    turns = [so_exp(math.pi * axis) for axis in (*own, *_axes_around(AXES))]
+    return turns + [so_exp(angle * axis) for axis in own for angle in (0.5 * math.pi, -0.5 * math.pi)]
+
+
+def _axes_around(count: int) -> Array:
+    """(count, 3) axes spread evenly over half a sphere, on a spiral."""
+    place = np.arange(count) + 0.5
+    height, angle = place / count, math.pi * (1.0 + math.sqrt(5.0)) * place
+    radius = np.sqrt(1.0 - height**2)
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])

@@ -17,10 +17,9 @@ from adagmm_o3d.mixtures.normalisation import normalise
 from adagmm_o3d.result import Verdict
 from adagmm_o3d.trust.agreement import VAGUEST, Surface, agreement, surfaces_of
 from adagmm_o3d.trust.copies import are_copies
-from adagmm_o3d.trust.edges import share_beyond_edges
 from adagmm_o3d.trust.partners import partners_at
 from adagmm_o3d.trust.scale import estimate_scale
-from adagmm_o3d.trust.verdict import MARGINS, MARGINS_OVER_IMAGE, believe, signs
+from adagmm_o3d.trust.verdict import BETTER_IMAGE, HELD, NEAREST, TURNED, believe, signs
 
 NOISE = 0.005
 
@@ -243,32 +242,43 @@ def test_surfaces_agree_where_they_meet():
     rng = np.random.default_rng(4)
     one, other = (Surface(noisy(rng, body_with_head(rng, 900, 3)), 3) for _ in range(2))
     right = agreement(one, other, np.eye(4))
-    assert right.relative > 0.9 and right.share > 0.9
+    assert right.held > 0.9 and right.share > 0.9
     askew = agreement(one, other, se_exp(np.array([0.4, -0.3, 0.5, 0.05, 0.0, 0.0])))
-    assert askew.relative < 0.7 and askew.share < right.share
+    assert askew.held < 0.6 and askew.share < right.share
     # swapped it is the same
     swapped = agreement(other, one, np.eye(4))
     assert swapped == right
 
 
-def test_what_lies_beyond_an_edge_is_told_from_what_differs():
+def test_what_lies_beyond_an_end_is_told_from_what_differs():
     rng = np.random.default_rng(8)
     whole = [bumpy(rng, 1400, 3) for _ in range(2)]
     parts = [
         Surface(noisy(rng, points[sign * points[:, 2] > -0.1]), 3) for points, sign in zip(whole, (1, -1), strict=True)
     ]
-    assert share_beyond_edges(*parts, np.eye(4)) > 0.9
+    shared = agreement(*parts, np.eye(4))
+    # most of either is not shared, and takes nothing from what holds
+    assert shared.beyond > 0.9 and shared.share < 0.5 and shared.held > 0.85
     bodies = [Surface(noisy(rng, body_with_head(rng, 900, 3)) @ flip, 3) for flip in (np.eye(3), np.diag([1, 1, -1]))]
-    assert share_beyond_edges(*bodies, np.eye(4)) < 0.4
+    differing = agreement(*bodies, np.eye(4))
+    assert differing.beyond < 0.4 and differing.held < 0.8
     # whichever comes first
-    assert share_beyond_edges(*bodies[::-1], np.eye(4)) == share_beyond_edges(*bodies, np.eye(4))
+    assert agreement(*bodies[::-1], np.eye(4)) == differing
     # clouds that are one have nothing beyond
-    assert share_beyond_edges(bodies[0], bodies[0], np.eye(4)) == 0.0
+    assert agreement(bodies[0], bodies[0], np.eye(4)).beyond == 0.0
+
+
+def test_a_reflected_surface_is_that_of_the_reflected_points():
+    rng = np.random.default_rng(10)
+    points, flip = noisy(rng, body_with_head(rng, 600, 3)), np.diag([-1.0, 1.0, 1.0])
+    target, image, made = Surface(points, 3), Surface(points, 3).reflected(flip), Surface(points @ flip, 3)
+    assert agreement(image, target, np.eye(4)) == agreement(made, target, np.eye(4))
+    np.testing.assert_array_equal(image.ends, made.ends)
 
 
 def test_belief_grows_with_each_sign():
-    least = np.array([-0.5, -1.5, MARGINS[0], MARGINS_OVER_IMAGE[0]])
-    most = np.array([0.0, -0.1, MARGINS[1], MARGINS_OVER_IMAGE[1]])
+    least = np.array([np.log(0.5), TURNED[0], BETTER_IMAGE[0], NEAREST[0]])
+    most = np.array([np.log(HELD[1]), TURNED[1], BETTER_IMAGE[1], NEAREST[1]])
     assert believe(least) < 0.05 and believe(most) > 0.95
     for sign in range(4):
         more = least.copy()
@@ -276,12 +286,14 @@ def test_belief_grows_with_each_sign():
         assert believe(more) > believe(least)
 
 
-def test_a_rival_that_can_only_be_wrong_counts_once_and_an_own_image_nothing():
-    verdict = Verdict(1.0, share=0.6, relative=0.9, margin=0.4)
-    assert believe(signs(replace(verdict, over_image=0.8))) > believe(signs(verdict))
-    # of a body that is its own image, by chance the one or the other fits better
-    assert believe(signs(replace(verdict, over_image=-0.2))) == believe(signs(verdict))
-    assert believe(signs(replace(verdict, over_image=-0.2, mirrored=True))) < 0.2 < believe(signs(verdict))
+def test_rivals_count_by_the_nearest_and_an_image_that_does_better_against_the_pose():
+    verdict = Verdict(1.0, share=0.9, held=0.95, margin=0.8)
+    belief = believe(signs(verdict))
+    # the mirror image is no rival where it is further off than what is turned
+    assert believe(signs(replace(verdict, over_image=0.9))) == belief
+    assert believe(signs(replace(verdict, over_image=0.2))) < belief
+    assert believe(signs(replace(verdict, over_image=-0.3))) < believe(signs(replace(verdict, over_image=0.0)))
+    assert believe(signs(replace(verdict, margin=-0.2, over_image=0.9))) < 0.5 < belief
 
 
 def test_of_points_that_are_said_to_be_noisy_less_is_expected():

@@ -51,10 +51,15 @@ def add_methods(parser: argparse.ArgumentParser) -> None:
 def add_trials(parser: argparse.ArgumentParser, command: str) -> None:
     """What a command that runs trials takes: --data, where they run, and --output."""
     add_data(parser)
+    add_placement(parser)
+    add_output(parser, command)
+
+
+def add_placement(parser: argparse.ArgumentParser) -> None:
+    """Where trials run, and whether from the beginning."""
     parser.add_argument("--workers", type=int, help="local processes (default: one a core)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="run on the Dask cluster of this scheduler instead")
     parser.add_argument("--fresh", action="store_true", help="forget earlier results instead of continuing them")
-    add_output(parser, command)
 
 
 def data_folder(arguments: argparse.Namespace) -> Path | None:

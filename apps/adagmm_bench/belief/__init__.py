@@ -1,0 +1,1 @@
+"""What `details.belief` is fitted on: generated pairs, their outcomes, and the regression."""

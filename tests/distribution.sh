@@ -18,7 +18,8 @@ import sys, tarfile, zipfile
 wheel, sdist = sorted(sys.argv[1:], key=lambda path: path.endswith(".gz"))
 in_wheel = set(zipfile.ZipFile(wheel).namelist())
 in_sdist = {name.partition("/")[2] for name in tarfile.open(sdist).getnames()}
-wanted = {"adagmm_o3d/py.typed", "adagmm_bench/recorded_ratios.json", "adagmm_fusion/cli.py"}
+wanted = {"adagmm_o3d/py.typed", "adagmm_bench/recorded_ratios.json", "adagmm_bench/belief/outcomes.json"}
+wanted |= {"adagmm_fusion/cli.py"}
 assert wanted <= in_wheel, wanted - in_wheel
 others = {name.partition("/")[0] for name in in_wheel} - {"adagmm_o3d", "adagmm_fusion", "adagmm_bench"}
 assert all(name.endswith(".dist-info") for name in others), others

@@ -19,9 +19,9 @@ from adagmm_o3d.pairs.protocol import Pairs, PairSums, PosteriorSums
 
 # The share of points without a partner is estimated within these bounds: never none, never nearly all.
 LEAST_UNMATCHED, MOST_UNMATCHED = 0.05, 0.7
-# On all points of clouds of some thousand σ follows the residuals down to 1 % of the radius, a fraction of their
-# spacing; below, chance coincidences of the samples decide (on recordings of five sensors poses got worse). Dense
-# clouds tell more: there it may follow to where float32 coordinates still have three digits.
+# On clouds of some thousand points σ follows the residuals down to 1 % of the radius, a fraction of their spacing.
+# Below that it is chance how near the points of two samples lie (on recordings of five sensors poses got worse). Dense
+# clouds tell more: there σ may follow to where float32 coordinates still have three digits.
 SAMPLED_SIGMA, FINEST_SIGMA = 1e-4, 1e-6
 # How fast σ may fall on all points: to this share of itself in an iteration.
 FASTEST = 0.8

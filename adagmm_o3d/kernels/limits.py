@@ -3,7 +3,7 @@
 # What float32 can tell apart: the least variance of a point to its largest. A thinner covariance is singular and is
 # given the thickness of a surface, EPSILON.
 THINNEST = 1e-6
-# The least variance with all of a float64's digits; below it is none.
+# The least float64 that has all its digits; a variance below it counts as none.
 SMALLEST = 2.2250738585072014e-308
 # What float32 may make of a covariance, as a share of its largest number: entries may differ from their mirror images,
 # and variances lie below zero, by this.

@@ -1,5 +1,5 @@
-"""A few values in place of many: a random part, the same one every time, each place once, and quantiles that are values
-themselves."""
+"""A few values in place of many: a random sample, the same one every time; the distinct places; and quantiles, each of
+which is one of the values."""
 
 from __future__ import annotations
 

@@ -120,8 +120,8 @@ def refine(
 def _refine_compiled(
     levels: Levels, end: End, criteria: Criteria, relaxation: float, observe: Observe | None
 ) -> tuple[Outcome, Fit]:
-    """Without a return to Python, which would cost small clouds more than their pairs do; where somebody observes, with
-    one after each iteration, and to the same bits."""
+    """The same in one compiled loop: for small clouds a return to Python costs more than the pairs do. For an observer
+    it returns after each iteration, which changes no bit."""
     sides = levels.sampled(levels.schedule.small)
     limits = Limits(
         SAMPLED_SIGMA,

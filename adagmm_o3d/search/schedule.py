@@ -51,8 +51,8 @@ class Schedule:
     small : clouds of up to so many points decide with all of them; a search among these decides on `small_deciding`:
         on a part it does better (heavy noise above all).
     tight, tight_unmatched : residuals within `tight` of the spacing of the points are no coincidence where at most
-        `tight_unmatched` of them have no partner: no search is needed. Of a part of the points that much is found in
-        many poses.
+        `tight_unmatched` of them have no partner: no search is needed. A smaller part of the points fits as tightly
+        in many poses.
     """
 
     # size, merged, floor, least_unmatched, relative_rmse, fastest, iterations, follow, sigma, kept, apart

@@ -1,4 +1,5 @@
-"""Where the search begins: one wide start, and narrow ones around it for what the wide one's pull to centres loses."""
+"""Where the search begins: one wide start, which draws centroids together, and narrow ones around it, for clouds that
+overlap in part and whose centroids therefore lie apart."""
 
 from __future__ import annotations
 
@@ -24,12 +25,14 @@ DIAGONALS = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) / math.sqrt
 
 
 def wide(pose: Array) -> Start:
-    """σ falls from where everything sees everything, held up by the residuals: the large basin of the paper's rule."""
+    """σ starts so large that every point sees all others, and never falls below what the residuals say: this has the
+    large basin of the paper's rule."""
     return Start(pose, sigma=0.3, unmatched=0.1, fastest=0.75, iterations=20, follow=1.0)
 
 
 def narrow(pose: Array) -> Start:
-    """σ starts small and falls whatever the residuals say, which points without a partner hold up: partial overlap."""
+    """For partial overlap: σ starts small and falls whatever the residuals say, as points without a partner make these
+    large."""
     return Start(pose, sigma=0.02, unmatched=0.3, fastest=0.6, iterations=4, follow=0.0)
 
 
@@ -39,7 +42,7 @@ def turned(pose: Array) -> Start:
 
 
 def near(pose: Array) -> list[Start]:
-    """For a pose that somebody has vouched for: σ from a few shares of a radius down, none of which can see far."""
+    """For a pose that the caller gave: three small σ to begin with, at none of which a point sees far."""
     return [
         Start(pose, sigma, unmatched=0.3, fastest=0.77, iterations=20, follow=0.0) for sigma in (0.001, 0.004, 0.015)
     ]

@@ -47,7 +47,7 @@ from adagmm_o3d.trust.copies import are_copies
 from adagmm_o3d.trust.held_by_colour import free_of_colours
 from adagmm_o3d.trust.observability import free_directions, generalised_eigen
 
-# At most so many points of a cloud are looked at; their sums stand for those of all.
+# Of at most this many points of a cloud the scores are worked out; their sums stand for those of all points.
 SCORED = 1000
 # The edge of a block, in radii: beyond the reach of the pairs, and small enough for a hundred blocks on a surface.
 BLOCK = 0.25

@@ -98,6 +98,17 @@ def test_the_tree_in_contributing_is_the_real_one(package):
     assert sorted(named) == sorted(real)
 
 
+def test_the_way_to_the_kernels_is_as_contributing_says():
+    """Each file of the way imports the next one, or the protocol that the next one answers."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    way = text.partition("From `registration_adaptive_gmm` to the kernels:**")[2].partition("\n- **")[0]
+    files = [name.replace("/", ".") for name in re.findall(r"`([a-z_/]+)`", way)]
+    assert files[0] == "registration" and files[-1].startswith("kernels.") and len(files) <= 8
+    all_arrows = set(arrows())
+    for a, b in itertools.pairwise(files):
+        assert (a, b) in all_arrows or {(a, "pairs.protocol"), (b, "pairs.protocol")} <= all_arrows, (a, b)
+
+
 def test_no_arrow_goes_up():
     upward = {(a, b) for a, b in arrows() if room(a) != room(b) and row(a) >= row(b)}
     assert upward <= STILL_UPWARD, "\n".join(f"{a} imports {b}" for a, b in sorted(upward - STILL_UPWARD))

@@ -33,6 +33,9 @@ AMBIGUOUS, AMBIGUOUS_LIKELIHOOD = 0.1, 0.15
 # A given start is believed at once when the clouds explain each other there this much as well as the halves of one
 # cloud do; or, where noise hides the shape, when this share of the points has a partner.
 KNOWN_AGAIN, PLAUSIBLE = 0.5, 0.1
+# A first end that explains the clouds so many times as well as the halves of one cloud explain each other is right:
+# nothing that features propose does better. Round and regular bodies, of which another pose may, do not come to this.
+CERTAIN = 2.0
 # Where the first few proposals of features establish no pose, so many times as many are tried.
 MORE = 4
 # What is assumed of points without a partner where σ begins anew.
@@ -81,8 +84,12 @@ def find(
         if is_tight(levels, first[1]) or not search:
             return Found(first[1], False)
     sharp = levels.source.dimension == 3 and judge().sharp
+    pool = _judged(judge(), [first[1]]) if sharp and first is not None else []
+    certain = bool(pool) and pool[0][1] >= CERTAIN * judge().reference
     nearby: list[End] = []
-    if believed is not None and not everywhere and (sharp or given is not None):
+    # Where the first end is certain, an identity that nobody vouched for needs no look if the clouds lie apart there.
+    apart = certain and given is None and believed is not None and judge().confidence(believed) <= 0.0
+    if believed is not None and not everywhere and (sharp or given is not None) and not apart:
         nearby = levels.run(levels.schedule.near, starts.near(believed), 2)
     if not sharp:
         # Noise hides the shape at the scale of the points: the likelihood at the noise's own scale decides.
@@ -96,10 +103,11 @@ def find(
     near = _judged(judge(), nearby)
     if given is not None and near and max(value for _, value in near) >= KNOWN_AGAIN * judge().reference:
         return _chosen(near, [], judge().sigma)
-    rest = [] if first is None else [first[1]]
+    if certain:
+        return _chosen(near, pool, judge().sigma)
     proposals = _apart(feature_poses(levels.source, levels.target), levels.schedule.proposed.apart)
     most = levels.schedule.proposed.kept
-    pool = _judged(judge(), [*rest, *_proposed(levels, proposals[:most])])
+    pool += _judged(judge(), _proposed(levels, proposals[:most]))
     if not pool or max(value for _, value in [*near, *pool]) < ESTABLISHED:
         more = _proposed(levels, proposals[most : MORE * most])
         more += search_globally(levels) if first is None else search_around(levels, _others(levels, bases), first)

@@ -10,6 +10,7 @@ from adagmm_o3d.evaluation import pose_errors
 from adagmm_o3d.lie import se_exp
 from adagmm_o3d.mixtures.mixture import make_mixture
 from adagmm_o3d.mixtures.normalisation import normalise
+from adagmm_o3d.search import find
 from adagmm_o3d.search.around import first_end
 from adagmm_o3d.search.features import feature_poses
 from adagmm_o3d.search.levels import Levels
@@ -25,7 +26,7 @@ class Parts:
     same : whether both are parts of one sample of the body, as a cloud and its copy are, or each of its own.
     """
 
-    def __init__(self, seed, share, turn, n=2400, same=False):
+    def __init__(self, seed, share, turn, n=2400, same=False, noise=0.004):
         rng = np.random.default_rng([seed, int(100 * share)])
         points = body_with_head(rng, n, 3)
         along = points @ rng.normal(size=3)
@@ -35,8 +36,8 @@ class Parts:
             source, target = source[::2], target[1::2]
         axis = rng.normal(size=3)
         self.T = se_exp(np.concatenate([turn * axis / np.linalg.norm(axis), 0.1 * rng.normal(size=3)]))
-        self.source = source + 0.004 * rng.normal(size=source.shape)
-        self.target = move(target + 0.004 * rng.normal(size=target.shape), self.T)
+        self.source = source + noise * rng.normal(size=source.shape)
+        self.target = move(target + noise * rng.normal(size=target.shape), self.T)
 
     def register(self, **options):
         surfaces = (estimate_surface_covariances(cloud) for cloud in (self.source, self.target))
@@ -94,6 +95,18 @@ def test_features_propose_the_pose():
     errors = [pose_errors(parts.T, normalisation.pose_out(pose)).rotation_deg for pose in poses]
     assert min(errors[:5]) < 10.0
     np.testing.assert_allclose(np.linalg.det(np.array(poses)[:, :3, :3]), 1.0, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("noise, proposals", [(0.0005, 0), (0.004, 1)])
+def test_features_are_asked_unless_the_first_end_is_certain(noise, proposals, monkeypatch):
+    asked = []
+    monkeypatch.setattr(find, "feature_poses", lambda *sides: asked.append(None) or feature_poses(*sides))
+    for seed in (1, 3):
+        parts = Parts(seed, 0.7, turn=0.2, n=1200, same=proposals == 0, noise=noise)
+        asked.clear()
+        errors = pose_errors(parts.T, parts.register().transformation)
+        assert errors.rotation_deg < 2.0 and errors.translation < 0.04, (seed, errors)
+        assert len(asked) == proposals, seed
 
 
 def test_of_a_handful_of_points_nothing_is_recognised():

@@ -9,6 +9,8 @@ from adagmm_fusion.errors import OutputError
 from adagmm_fusion.files.file_lock import lock
 from adagmm_o3d.errors import AdaGMMError
 
+NO_LINK = getattr(os, "O_NOFOLLOW", 0)  # Windows has none
+
 
 @contextmanager
 def exclusive(folder: Path, *, follow_links: bool = True) -> Iterator[None]:
@@ -25,7 +27,7 @@ def exclusive(folder: Path, *, follow_links: bool = True) -> Iterator[None]:
         if not follow_links and folder.is_symlink():
             raise OutputError(f"{folder}: expected a folder, it is a link; take it away")
         # Windows opens no folders: two runs into one are not told apart there
-        handle = None if os.name == "nt" else os.open(folder, os.O_RDONLY | (0 if follow_links else os.O_NOFOLLOW))
+        handle = None if os.name == "nt" else os.open(folder, os.O_RDONLY | (0 if follow_links else NO_LINK))
     except OutputError:
         raise
     except ValueError as problem:  # a NUL byte in its name

@@ -76,12 +76,12 @@ class Verdict:
 
     evidence : see `PointRegistrationResult.evidence`.   share : of the points of both clouds, those that lie on the
     other's surface.   held : of those that lie where the other's surface goes on, the share on it, in units of that
-    share between the halves of one cloud.   margin : by how much the pose explains the clouds better than one
-    that is turned from there by half a turn or a quarter [nats per point]; infinity where all of these are the same.
-    scale : factor by which the source would have to be scaled, where its size is clearly another one, else None.
-    over_image : by how much the pose explains the clouds better than the mirror image of the source does, where that
-    was looked at; 0 where an image that does better says nothing.   mirrored : whether that fits so clearly better that
-    it must be one.   belief : the probability that the pose is right.
+    share between the halves of one cloud.   margin : by how much the pose explains the clouds better than one that is
+    turned from there by half a turn or a quarter [nats per point], where that was looked at; infinity where all of
+    these are the same.   scale : factor by which the source would have to be scaled, where its size is clearly another
+    one, else None.   over_image : by how much the pose explains the clouds better than the mirror image of the source
+    does, where that was looked at; 0 where an image that does better says nothing.   mirrored : whether that fits so
+    clearly better that it must be one.   belief : the probability that the pose is right.
     """
 
     evidence: float

@@ -42,7 +42,7 @@ BEYOND = 0.7
 HELD, TURNED, BETTER_IMAGE, NEAREST = (0.05, 0.95), (-0.3, 0.3), (-0.3, 0.0), (0.0, 1.0)
 # Of the signs in their order, and the constant.
 WEIGHTS, CONSTANT = (9.8, 5.4, 9.2, 2.8), 0.1
-# The mirror image is looked at where without it the pose would be believed by so much.
+# A rival is looked for where without it the pose would be believed by so much.
 LOOKED_AT = LEAST_BELIEF
 
 
@@ -54,15 +54,12 @@ def weigh(judge: Judge, pose: Array, *, turned: bool) -> Verdict:
         return Verdict(evidence)
     source, target = surfaces_of(*sides)
     agreed = agreement(source, target, pose)
-    verdict = Verdict(
-        evidence,
-        share=agreed.share,
-        held=agreed.held,
-        margin=margin_over_turned(judge, pose),
-    )
+    verdict = Verdict(evidence, share=agreed.share, held=agreed.held)
     scale = estimate_scale(source, target, pose, sides[0].dimension)
     if scale is not None and scale.differs:
         verdict = replace(verdict, scale=1.0 / scale.factor if turned else scale.factor)
+    if believe(signs(verdict)) >= LOOKED_AT:
+        verdict = replace(verdict, margin=margin_over_turned(judge, pose))
     if believe(signs(verdict)) >= LOOKED_AT:
         image = fit_mirror_image(judge, pose)
         # parts of a body that is its own image share less than its left half and the image of its right half
@@ -84,14 +81,14 @@ def _is_mirrored(image: MirrorImage, source: Surface, target: Surface, agreed: A
 def signs(verdict: Verdict) -> Array:
     """(4,) what the regression goes by: the logarithm of what holds, the margins over what is turned and over a mirror
     image that does better, and that over the nearest of these rivals."""
-    assert verdict.held is not None and verdict.margin is not None
-    over_image = math.inf if verdict.over_image is None else verdict.over_image
+    assert verdict.held is not None
+    margin, over_image = (math.inf if found is None else found for found in (verdict.margin, verdict.over_image))
     return np.array(
         [
             math.log(np.clip(verdict.held, *HELD)),
-            np.clip(verdict.margin, *TURNED),
+            np.clip(margin, *TURNED),
             np.clip(over_image, *BETTER_IMAGE),
-            np.clip(min(verdict.margin, over_image), *NEAREST),
+            np.clip(min(margin, over_image), *NEAREST),
         ]
     )
 

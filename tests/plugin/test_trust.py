@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from outcomes import misjudged, noisy, outcome, twist
 from shapes import body_with_head, bumpy, move
 
 from adagmm_o3d import estimate_surface_covariances, register_points
-from adagmm_o3d.evaluation import pose_errors
 from adagmm_o3d.lie import se_exp
 from adagmm_o3d.mixtures.merging import sample
 from adagmm_o3d.mixtures.mixture import make_mixture
@@ -20,23 +20,6 @@ from adagmm_o3d.trust.copies import are_copies
 from adagmm_o3d.trust.partners import partners_at
 from adagmm_o3d.trust.scale import estimate_scale
 from adagmm_o3d.trust.verdict import BETTER_IMAGE, HELD, NEAREST, TURNED, believe, signs
-
-NOISE = 0.005
-
-
-def twist(rng, dimension, turn, shift=0.05):
-    """A motion by a turn of so many radians about any axis, and a small shift."""
-    if dimension == 2:
-        T = np.eye(3)
-        T[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
-        T[:2, 2] = shift * rng.normal(size=2)
-        return T
-    axis = rng.normal(size=3)
-    return se_exp(np.concatenate([turn * axis / np.linalg.norm(axis), shift * rng.normal(size=3)]))
-
-
-def noisy(rng, points):
-    return points + NOISE * rng.normal(size=points.shape)
 
 
 def box_with_knob(rng, n=800):
@@ -167,18 +150,6 @@ def outline_of_another_size(rng, trial):
     return noisy(rng, shape(rng, n, 2)), 1.05 * move(noisy(rng, shape(rng, n, 2)), T), None
 
 
-def outcome(source, target, T):
-    """Whether the pose is right, and whether the result warns of it."""
-    covariances = [None, None]
-    if len(source) > 500:
-        covariances = [estimate_surface_covariances(cloud) for cloud in (source, target)]
-    result = register_points(source, target, *covariances)
-    if T is None:
-        return False, bool(result.warnings), result
-    errors = pose_errors(T, result.transformation)
-    return errors.rotation_deg < 5.0 and errors.translation < 0.1, bool(result.warnings), result
-
-
 @pytest.mark.parametrize(
     ("kind", "trials", "silent", "alarms"),
     [
@@ -201,13 +172,7 @@ def outcome(source, target, T):
 )
 def test_how_often_a_result_is_misjudged(kind, trials, silent, alarms):
     """At most so many wrong without a warning, and so many right with one."""
-    wrong_and_silent, right_and_warned = [], []
-    for trial in range(trials):
-        right, warned, result = outcome(*kind(np.random.default_rng([trial, 16]), trial))
-        if not right and not warned:
-            wrong_and_silent.append((trial, result.belief, result.evidence))
-        if right and warned:
-            right_and_warned.append((trial, result.warnings))
+    wrong_and_silent, right_and_warned = misjudged(kind, trials)
     assert len(wrong_and_silent) <= silent, wrong_and_silent
     assert len(right_and_warned) <= alarms, right_and_warned
 

@@ -195,8 +195,7 @@ def _by_posteriors(task: _Task) -> _Ended:
             assess = partial(_assess_upright, assess, task.axis)
         weigh = partial(_weigh, judge, outcome.pose if inverted == turned else inverse_of(outcome.pose), turned)
     if inverted:
-        outcome = Outcome(inverse_of(outcome.pose), tuple(map(_inverse, outcome.iterations)), outcome.stop_reason)
-        start = inverse_of(start)
+        outcome, start = _inverse_outcome(outcome), inverse_of(start)
     return _Ended(start, outcome, weigh, assess, found.ambiguous, refined.fit)
 
 
@@ -231,6 +230,13 @@ def _by_the_papers_weights(task: _Task) -> _Ended:
 
 def _assess_upright(assess: Callable[[], PoseUncertainty], axis: Array) -> PoseUncertainty:
     return held_by_gravity(assess(), axis)
+
+
+def _inverse_outcome(outcome: Outcome) -> Outcome:
+    """The same with source and target in each other's place."""
+    poses = inverse_of(np.array([outcome.pose, *(iteration.pose for iteration in outcome.iterations)]))
+    iterations = zip(outcome.iterations, poses[1:], strict=True)
+    return replace(outcome, pose=poses[0], iterations=tuple(one._replace(pose=pose) for one, pose in iterations))
 
 
 def _inverse(iteration: Iteration) -> Iteration:
@@ -281,14 +287,14 @@ def refines_inverse(normalisation: Normalisation, *, dense: bool, turned: bool) 
 
 def _within(limits: Criteria, end: End) -> tuple[End, Criteria]:
     """An end with as much of the way there as is reported, and what `max_iteration` leaves for the last level."""
-    found = end.iterations
-    kept = min(len(found), limits.max_iteration // SEARCHING)
+    count = sum(len(rows) for _, rows in end.trail)
+    kept = min(count, limits.max_iteration // SEARCHING)
     limits = replace(limits, max_iteration=limits.max_iteration - kept)
-    left_out = len(found) - kept
+    left_out = count - kept
     if left_out == 0:
         return end, limits
     trail = []
-    start, rest = found[left_out - 1].pose, left_out
+    start, rest = end.iterations[left_out - 1].pose, left_out
     for level, rows in end.trail:
         trail.append((level, rows[min(rest, len(rows)) :]))
         rest -= min(rest, len(rows))

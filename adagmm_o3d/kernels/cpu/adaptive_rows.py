@@ -14,7 +14,8 @@ from adagmm_o3d.kernels.cpu.compiling import F0, F1, FLAGS, KERNEL_FLAGS, POINTW
 from adagmm_o3d.kernels.cpu.culling import CLUSTER, CLUSTERS_PER_CHUNK, RUN, Box, cluster_box, largest, next_run
 from adagmm_o3d.kernels.cpu.moving import move_symmetric
 from adagmm_o3d.kernels.cpu.normal_equations import add_rows
-from adagmm_o3d.kernels.layout import ENERGY, PRECISION, PULL, ROW_SUMS, TORQUE, WEIGHT
+from adagmm_o3d.kernels.cpu.row_sums import add_full, add_isotropic
+from adagmm_o3d.kernels.layout import PRECISION, ROW_SUMS, TORQUE, WEIGHT
 
 adaptive_full, adaptive_isotropic, dot = formulas.adaptive_full, formulas.adaptive_isotropic, formulas.dot
 
@@ -83,17 +84,7 @@ def rows_full(target, i, j, count, y, turned, rows):
             t0 += c * tx
             t1 += c * ty
             t2 += c * tz
-        rows[WEIGHT, k] += w
-        rows[ENERGY, k] += e
-        rows[PRECISION, k] += p0
-        rows[PRECISION + 1, k] += p1
-        rows[PRECISION + 2, k] += p2
-        rows[PRECISION + 3, k] += p3
-        rows[PRECISION + 4, k] += p4
-        rows[PRECISION + 5, k] += p5
-        rows[PULL, k] += u0
-        rows[PULL + 1, k] += u1
-        rows[PULL + 2, k] += u2
+        add_full(rows, k, w, e, p0, p1, p2, p3, p4, p5, u0, u1, u2)
         rows[TORQUE, k] += t0
         rows[TORQUE + 1, k] += t1
         rows[TORQUE + 2, k] += t2
@@ -133,14 +124,7 @@ def rows_isotropic(target, i, j, count, y, turned, weights, rows):
             u0 += f * dx
             u1 += f * dy
             u2 += f * dz
-        rows[WEIGHT, k] += w
-        rows[ENERGY, k] += e
-        rows[PRECISION, k] += p
-        rows[PRECISION + 3, k] += p
-        rows[PRECISION + 5, k] += p
-        rows[PULL, k] += u0
-        rows[PULL + 1, k] += u1
-        rows[PULL + 2, k] += u2
+        add_isotropic(rows, k, w, e, p, u0, u1, u2)
 
 
 @njit(**POINTWISE_FLAGS)

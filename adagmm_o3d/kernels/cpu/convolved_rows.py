@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from adagmm_o3d.kernels.cpu.compiling import F0, FLAGS, formulas
 from adagmm_o3d.kernels.cpu.culling import TILE
+from adagmm_o3d.kernels.cpu.row_sums import add_full, add_isotropic
 from adagmm_o3d.kernels.layout import (
     DENSITY,
     ENERGY,
@@ -67,6 +68,22 @@ def whole_tiles(i, j):
 
 
 @njit(**FLAGS)
+def hue_of(hue, k):
+    """The colour of source point k, nothing where colours do not count."""
+    if hue is None:
+        return F0, F0, F0
+    return hue.colours[0, k], hue.colours[1, k], hue.colours[2, k]
+
+
+@njit(**FLAGS)
+def exponent_of(q, hue, own, target, at, n):
+    """q, and how unlike the colour `own` is to that of target point n, which is at `at`, where colours count."""
+    if hue is None:
+        return q
+    return q + capped_distance(own[0], own[1], own[2], target[at, n], target[at + 1, n], target[at + 2, n], hue.cap)
+
+
+@njit(**FLAGS)
 def moments_full(target, i, j, cluster, hue, rows):
     """Add to `rows` (layout.ROW_SUMS, CLUSTER) the pairs of a `Cluster`, `hue` its `Hues` or None."""
     count, y, turned, _ = cluster
@@ -86,8 +103,7 @@ def moments_full(target, i, j, cluster, hue, rows):
         u0 = F0
         u1 = F0
         u2 = F0
-        if hue is not None:
-            h0, h1, h2 = hue.colours[0, k], hue.colours[1, k], hue.colours[2, k]
+        own_hue = hue_of(hue, k)
         for m in range(whole_tiles(i, j)):
             n = first + m
             dx = y0 - target[X, n]
@@ -105,11 +121,7 @@ def moments_full(target, i, j, cluster, hue, rows):
                 target[MATRIX + 4, n] + b4,
                 target[MATRIX + 5, n] + b5,
             )
-            if hue is not None:
-                unlike = capped_distance(h0, h1, h2, target[HUE, n], target[HUE + 1, n], target[HUE + 2, n], hue.cap)
-                exponent = q + unlike
-            else:
-                exponent = q
+            exponent = exponent_of(q, hue, own_hue, target, HUE, n)
             factor = target[FACTOR, n]
             g = density_of(height, exponent)
             density += g
@@ -126,17 +138,7 @@ def moments_full(target, i, j, cluster, hue, rows):
             u0 += f * vx
             u1 += f * vy
             u2 += f * vz
-        rows[WEIGHT, k] += w
-        rows[ENERGY, k] += e
-        rows[PRECISION, k] += p0
-        rows[PRECISION + 1, k] += p1
-        rows[PRECISION + 2, k] += p2
-        rows[PRECISION + 3, k] += p3
-        rows[PRECISION + 4, k] += p4
-        rows[PRECISION + 5, k] += p5
-        rows[PULL, k] += u0
-        rows[PULL + 1, k] += u1
-        rows[PULL + 2, k] += u2
+        add_full(rows, k, w, e, p0, p1, p2, p3, p4, p5, u0, u1, u2)
         rows[DENSITY, k] += density
 
 
@@ -156,8 +158,7 @@ def moments_planar(target, i, j, cluster, hue, rows):
         p3 = F0
         u0 = F0
         u1 = F0
-        if hue is not None:
-            h0, h1, h2 = hue.colours[0, k], hue.colours[1, k], hue.colours[2, k]
+        own_hue = hue_of(hue, k)
         for m in range(whole_tiles(i, j)):
             n = first + m
             dx = y0 - target[X, n]
@@ -166,11 +167,7 @@ def moments_planar(target, i, j, cluster, hue, rows):
             s1 = target[MATRIX + 1, n] + b1
             s3 = target[MATRIX + 3, n] + b3
             height, inverse, q, vx, vy = convolved_planar(target[SHARE, n], dx, dy, s0, s1, s3)
-            if hue is not None:
-                unlike = capped_distance(h0, h1, h2, target[HUE, n], target[HUE + 1, n], target[HUE + 2, n], hue.cap)
-                exponent = q + unlike
-            else:
-                exponent = q
+            exponent = exponent_of(q, hue, own_hue, target, HUE, n)
             factor = target[FACTOR, n]
             g = density_of(height, exponent)
             density += g
@@ -207,27 +204,14 @@ def moments_isotropic(target, i, j, planar, cluster, hue, rows):
         u0 = F0
         u1 = F0
         u2 = F0
-        if hue is not None:
-            h0, h1, h2 = hue.colours[0, k], hue.colours[1, k], hue.colours[2, k]
+        own_hue = hue_of(hue, k)
         for m in range(whole_tiles(i, j)):
             n = first + m
             dx = y0 - target[X, n]
             dy = y1 - target[X + 1, n]
             dz = y2 - target[X + 2, n]
             height, precision, q = convolved_isotropic(target[SHARE, n], dx, dy, dz, target[MATRIX, n] + b, planar)
-            if hue is not None:
-                unlike = capped_distance(
-                    h0,
-                    h1,
-                    h2,
-                    target[ISOTROPIC_HUE, n],
-                    target[ISOTROPIC_HUE + 1, n],
-                    target[ISOTROPIC_HUE + 2, n],
-                    hue.cap,
-                )
-                exponent = q + unlike
-            else:
-                exponent = q
+            exponent = exponent_of(q, hue, own_hue, target, ISOTROPIC_HUE, n)
             factor = target[ISOTROPIC_FACTOR, n]
             g = density_of(height, exponent)
             density += g
@@ -239,14 +223,7 @@ def moments_isotropic(target, i, j, planar, cluster, hue, rows):
             u0 += f * dx
             u1 += f * dy
             u2 += f * dz
-        rows[WEIGHT, k] += w
-        rows[ENERGY, k] += e
-        rows[PRECISION, k] += p
-        rows[PRECISION + 3, k] += p
-        rows[PRECISION + 5, k] += p
-        rows[PULL, k] += u0
-        rows[PULL + 1, k] += u1
-        rows[PULL + 2, k] += u2
+        add_isotropic(rows, k, w, e, p, u0, u1, u2)
         rows[DENSITY, k] += density
 
 
@@ -260,8 +237,7 @@ def densities_full(target, i, j, cluster, hue, columns, rows):
         y0, y1, y2, weight = y[0, k], y[1, k], y[2, k], own[k]
         b0, b1, b2, b3, b4, b5 = turned[k, 0], turned[k, 1], turned[k, 2], turned[k, 3], turned[k, 4], turned[k, 5]
         density = F0
-        if hue is not None:
-            h0, h1, h2 = hue.colours[0, k], hue.colours[1, k], hue.colours[2, k]
+        own_hue = hue_of(hue, k)
         for m in range(whole_tiles(i, j)):
             n = first + m
             dx = y0 - target[X, n]
@@ -279,11 +255,7 @@ def densities_full(target, i, j, cluster, hue, columns, rows):
                 target[MATRIX + 4, n] + b4,
                 target[MATRIX + 5, n] + b5,
             )
-            if hue is not None:
-                unlike = capped_distance(h0, h1, h2, target[HUE, n], target[HUE + 1, n], target[HUE + 2, n], hue.cap)
-                exponent = q + unlike
-            else:
-                exponent = q
+            exponent = exponent_of(q, hue, own_hue, target, HUE, n)
             g = density_of(height, exponent)
             density += g
             columns[n] += weight * g
@@ -299,8 +271,7 @@ def densities_planar(target, i, j, cluster, hue, columns, rows):
         y0, y1, weight = y[0, k], y[1, k], own[k]
         b0, b1, b3 = turned[k, 0], turned[k, 1], turned[k, 3]
         density = F0
-        if hue is not None:
-            h0, h1, h2 = hue.colours[0, k], hue.colours[1, k], hue.colours[2, k]
+        own_hue = hue_of(hue, k)
         for m in range(whole_tiles(i, j)):
             n = first + m
             dx = y0 - target[X, n]
@@ -308,11 +279,7 @@ def densities_planar(target, i, j, cluster, hue, columns, rows):
             height, _, q, _, _ = convolved_planar(
                 target[SHARE, n], dx, dy, target[MATRIX, n] + b0, target[MATRIX + 1, n] + b1, target[MATRIX + 3, n] + b3
             )
-            if hue is not None:
-                unlike = capped_distance(h0, h1, h2, target[HUE, n], target[HUE + 1, n], target[HUE + 2, n], hue.cap)
-                exponent = q + unlike
-            else:
-                exponent = q
+            exponent = exponent_of(q, hue, own_hue, target, HUE, n)
             g = density_of(height, exponent)
             density += g
             columns[n] += weight * g
@@ -327,27 +294,14 @@ def densities_isotropic(target, i, j, planar, cluster, hue, columns, rows):
     for k in range(count):
         y0, y1, y2, b, weight = y[0, k], y[1, k], y[2, k], turned[k, 0], own[k]
         density = F0
-        if hue is not None:
-            h0, h1, h2 = hue.colours[0, k], hue.colours[1, k], hue.colours[2, k]
+        own_hue = hue_of(hue, k)
         for m in range(whole_tiles(i, j)):
             n = first + m
             dx = y0 - target[X, n]
             dy = y1 - target[X + 1, n]
             dz = y2 - target[X + 2, n]
             height, _, q = convolved_isotropic(target[SHARE, n], dx, dy, dz, target[MATRIX, n] + b, planar)
-            if hue is not None:
-                unlike = capped_distance(
-                    h0,
-                    h1,
-                    h2,
-                    target[ISOTROPIC_HUE, n],
-                    target[ISOTROPIC_HUE + 1, n],
-                    target[ISOTROPIC_HUE + 2, n],
-                    hue.cap,
-                )
-                exponent = q + unlike
-            else:
-                exponent = q
+            exponent = exponent_of(q, hue, own_hue, target, ISOTROPIC_HUE, n)
             g = density_of(height, exponent)
             density += g
             columns[n] += weight * g

@@ -80,7 +80,7 @@ class ColourEstimate:
             return before
         lying = before.lying
         if model is not None:
-            lying = min(max(1.0 - total[TRUE] / total[DENSITY], LEAST_LYING), MOST_LYING)
+            lying = float(min(max(1.0 - total[TRUE] / total[DENSITY], LEAST_LYING), MOST_LYING))
         mean_s, mean_t, ss, tt, st = total[FIRST:].reshape(3, PER_COORDINATE).T / total[TRUE]
         var_s, var_t, cov = ss - mean_s**2, tt - mean_t**2, st - mean_s * mean_t
         gain, offset = correction((mean_s, mean_t), (var_s, var_t), cov)

@@ -23,6 +23,8 @@ XYZ_OF_RGB /= XYZ_OF_RGB.sum(axis=1, keepdims=True)
 LINEAR = (6.0 / 29.0) ** 3
 # Intensities are scaled so that this share of them lies below FULL, the lightness of white.
 BRIGHT, FULL = 0.99, 100.0
+# Two sensors whose bright intensities are further apart than this write them in different units.
+SAME_UNIT = 2.5
 # By so much rounding may bring a colour above 1.
 ROUNDED = 1e-6
 
@@ -118,9 +120,13 @@ def lab_of(rgb: Array) -> Array:
 
 
 def _lightness(source: Array, target: Array) -> tuple[Array, Array]:
-    """(m, 3) and (n, 3) of intensities (m,) and (n,), brought to the range of lightness by the same factor."""
-    bright = float(np.quantile(np.concatenate([source, target]), BRIGHT))
-    scale = FULL / bright if bright > 0.0 else 1.0
+    """(m, 3) and (n, 3) of intensities (m,) and (n,), brought to the range of lightness by the same factor, or each by
+    its own where they are in different units."""
+    bright = [float(np.quantile(values, BRIGHT)) if len(values) else 0.0 for values in (source, target)]
+    if min(bright) > 0.0 and max(bright) > SAME_UNIT * min(bright):
+        return _in_first(source * (FULL / bright[0])), _in_first(target * (FULL / bright[1]))
+    both = float(np.quantile(np.concatenate([source, target]), BRIGHT))
+    scale = FULL / both if both > 0.0 else 1.0
     return _in_first(source * scale), _in_first(target * scale)
 
 

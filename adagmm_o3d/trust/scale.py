@@ -27,6 +27,9 @@ OF_MEDIAN, LEAST_OFF = 1.4826, 0.02
 BLOCK = 0.25
 # Fewer pairs than this share of all points do not tell, nor fewer than so many.
 LEAST_SHARE, LEAST_PAIRS = 0.6, 30
+# A scale moves the points along their normals by this share of a radius at least, in the mean and beyond what a pose
+# can make up for, or it is not told from none: on a wall it moves them along the wall.
+LEAST_MOVED = 0.05
 # Sizes differ when the scale is off by more than sensors are, and by so many deviations.
 NOTICED, SURE = 0.035, 5.0
 
@@ -46,7 +49,8 @@ class Scale:
 
 
 def estimate_scale(source: Surface, target: Surface, pose: Array, dimension: int) -> Scale | None:
-    """The scale of the source at about a pose (4, 4) between normalised clouds; None where too little is shared."""
+    """The scale of the source at about a pose (4, 4) between normalised clouds; None where too little is shared, or the
+    surfaces leave it free."""
     spacing = max(source.spacing, target.spacing)
     centre = (source.points @ pose[:3, :3].T + pose[:3, 3]).mean(axis=0)
     offsets, normals = source.points @ pose[:3, :3].T + pose[:3, 3] - centre, source.normals @ pose[:3, :3].T
@@ -85,5 +89,7 @@ def estimate_scale(source: Surface, target: Surface, pose: Array, dimension: int
     block = np.unique(np.floor(at / BLOCK), axis=0, return_inverse=True)[1].ravel()
     sums = np.stack([np.bincount(block, weights=score) for score in scores.T], axis=1)
     inverse = np.linalg.inv(hessian)
+    if weights.sum() * inverse[-1, -1] > LEAST_MOVED**-2.0:
+        return None
     deviation = math.sqrt(float((inverse @ (sums.T @ sums) @ inverse)[-1, -1]))
     return Scale(math.exp(logarithm), deviation)

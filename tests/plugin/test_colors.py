@@ -70,6 +70,8 @@ def test_paint_holds_a_wall_that_the_shape_lets_slide(wall):
     assert not found(wall, plain.transformation)
     assert found(wall, coloured.transformation)
     assert plain.color is None and plain.color_support is None
+    # nor is a wall, on which every scale fits, said to be of another size
+    assert coloured.warnings == ()
     assert coloured.color.lying < 0.1
     np.testing.assert_allclose(coloured.color.gain, 1.0, rtol=0, atol=0.05)
     np.testing.assert_allclose(coloured.color.offset, 0.0, rtol=0, atol=2.0)
@@ -158,6 +160,57 @@ def test_what_one_sensor_makes_of_the_others_colours_is_learnt(wall):
     seen, wanted = lab_of(darker), lab_of(painted(wall.source @ wall.T[:3, :3].T + wall.T[:3, 3]))
     corrected = result.color.gain * seen + result.color.offset
     assert np.abs(corrected - wanted).mean() < 0.5 * np.abs(seen - wanted).mean()
+
+
+@pytest.mark.parametrize(("gain", "offset"), [(0.6, 0.1), (1.0 / 0.6, -0.1 / 0.6)])
+def test_other_exposures_are_learnt(wall, gain, offset):
+    colors = np.clip(gain * wall.source_colors + offset, 0.0, 1.0)
+    result = register_points(*wall.arrays(), source_colors=colors, target_colors=wall.target_colors)
+    assert found(wall, result.transformation)
+    assert (result.color.gain > 1.2).all() if gain < 1.0 else (result.color.gain < 1.0).all()
+
+
+@pytest.mark.parametrize("unit", [(1.0, 1.0), (0.01, 60.0), (65535.0, 0.6)])
+def test_intensities_may_be_in_different_units(wall, unit):
+    brightness = [colors.mean(axis=1) for colors in (wall.source_colors, wall.target_colors)]
+    result = register_points(
+        *wall.arrays(), source_colors=unit[0] * brightness[0], target_colors=unit[1] * brightness[1]
+    )
+    assert found(wall, result.transformation)
+
+
+def looks(n=1000):
+    """Two looks at the corner of a room of three sizes, and which pose brings the first to the second."""
+    rng = np.random.default_rng(4)
+    points = rng.uniform(-1.0, 1.0, (2 * n, 3))
+    points[np.arange(2 * n), rng.integers(0, 3, 2 * n)] = -1.0
+    points = points * (1.3, 1.0, 0.7) + 0.003 * rng.normal(size=points.shape)
+    T = se_exp(np.array([0.01, -0.02, 0.08, 0.1, -0.06, 0.02]))
+    return points[:n], points[n:], T
+
+
+@pytest.mark.parametrize("kind", ["grey", "black", "white beside grey", "no intensity", "nearly grey", "inverted"])
+def test_colours_that_tell_nothing_cost_nothing(kind):
+    """Where the shape holds the pose, no worse than without them by half a standard deviation."""
+    source, target, T = looks()
+    rng = np.random.default_rng(5)
+    grey, some = np.full(source.shape, 0.5), [0.5 + 0.02 * rng.normal(size=source.shape) for _ in range(2)]
+    colors = {
+        "grey": (grey, grey),
+        "black": (0.0 * grey, 0.0 * grey),
+        "white beside grey": (2.0 * grey, grey),
+        "no intensity": (np.zeros(len(source)), np.zeros(len(target))),
+        "nearly grey": tuple(some),
+        "inverted": (1.0 - painted(source), painted(target)),
+    }[kind]
+    source = (source - T[:3, 3]) @ T[:3, :3]
+    plain = register_points(source, target)
+    result = register_points(source, target, source_colors=colors[0], target_colors=colors[1])
+    assert result.warnings == ()
+    errors, before = pose_errors(T, result.transformation), pose_errors(T, plain.transformation)
+    deviations = np.sqrt(np.diag(plain.pose_covariance))
+    assert errors.rotation_deg < before.rotation_deg + 0.5 * np.degrees(np.linalg.norm(deviations[:3]))
+    assert errors.translation < before.translation + 0.5 * np.linalg.norm(deviations[3:])
 
 
 def test_the_share_of_colours_that_lie_is_learnt(wall):

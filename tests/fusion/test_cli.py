@@ -111,6 +111,7 @@ def test_failed_pairs_are_shown_and_the_exit_code_says_that_all_are(tmp_path, ca
     assert not (tmp_path / "rig.yaml").exists()
 
 
+@pytest.mark.slow
 def test_some_failed_pairs_are_an_error_where_that_is_asked_for(tmp_path, capsys):
     shutil.copytree(ROOT / "calibration", tmp_path / "calibration")
     recording = tmp_path / "recordings" / "two_kinects"

@@ -16,6 +16,7 @@ import adagmm_bench.cli
 import adagmm_fusion.cli
 
 EXAMPLES = sorted(path.stem for path in (ROOT / "examples").glob("*.py") if path.stem != "make_notebooks")
+SLOW = {"two_kinects"}  # it calibrates a rig from photos and runs five commands
 # What each example prints last.
 LAST = {
     "register_arrays": r"standard deviation 0\.\d\d degrees",
@@ -36,13 +37,16 @@ def python(code_or_file, folder):
     )
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in EXAMPLES]
+)
 def test_an_example_runs(name, tmp_path):
     done = python(ROOT / "examples" / f"{name}.py", tmp_path)
     assert done.returncode == 0, done.stderr
     assert re.match(LAST[name], done.stdout.strip().splitlines()[-1]), done.stdout
 
 
+@pytest.mark.slow
 def test_what_an_example_compares_comes_out_as_it_is_told(tmp_path):
     swapped = python(ROOT / "examples" / "swap_icp.py", tmp_path).stdout
     gicp, ours = (float(off) for off in re.findall(r": ([\d.]+) degrees off", swapped))

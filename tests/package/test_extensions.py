@@ -44,6 +44,7 @@ def run(site, *arguments, cwd=None):
     return subprocess.run([sys.executable, *arguments], env=environment, cwd=cwd, capture_output=True, text=True)
 
 
+@pytest.mark.slow
 def test_a_format_and_a_sensor_model_of_others_are_used_as_ours_are(site, tmp_path):
     recording = tmp_path / "numbered"
     recording.mkdir()
@@ -72,6 +73,7 @@ def test_a_format_and_a_sensor_model_of_others_are_used_as_ours_are(site, tmp_pa
     assert without.returncode == 2 and "'my-tof'" in without.stderr
 
 
+@pytest.mark.slow
 def test_a_method_of_others_is_listed_and_runs(site, tmp_path):
     listed = run(site, "-m", "adagmm_bench", "methods")
     assert "centroids-only [2D/3D, only where named] numpy" in listed.stdout, listed.stderr
@@ -82,6 +84,7 @@ def test_a_method_of_others_is_listed_and_runs(site, tmp_path):
     assert "centroids-only" in done.stdout
 
 
+@pytest.mark.slow
 def test_what_cannot_be_used_is_one_line_that_names_its_package(tmp_path):
     install(tmp_path, "broken", "[adagmm_o3d.sensor_models]\nbad = broken:model\n", "raise OSError('no\\nlicence')\n")
     install(tmp_path, "empty", "[adagmm_fusion.formats]\nhollow = empty\n", "")

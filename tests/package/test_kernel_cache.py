@@ -67,6 +67,7 @@ def kernels_said(done):
     return [line for line in done.stderr.splitlines() if "kernels" in line and not line.startswith("compiling")]
 
 
+@pytest.mark.slow
 def test_kernels_are_kept_in_a_temporary_folder_and_one_line_says_so(nowhere, tmp_path):
     package, environment = nowhere
     close(package)
@@ -81,6 +82,7 @@ def test_kernels_are_kept_in_a_temporary_folder_and_one_line_says_so(nowhere, tm
     assert again.returncode == 0 and "compiling" in done.stderr and "compiling" not in again.stderr
 
 
+@pytest.mark.slow
 def test_a_temporary_folder_of_somebody_elses_is_not_used(nowhere, tmp_path):
     package, environment = nowhere
     close(package)
@@ -93,6 +95,7 @@ def test_a_temporary_folder_of_somebody_elses_is_not_used(nowhere, tmp_path):
     assert list((tmp_path / "temporary").iterdir()) == [expected] and not list(expected.iterdir())
 
 
+@pytest.mark.slow
 def test_without_any_folder_kernels_are_compiled_and_not_kept(nowhere, tmp_path):
     package, environment = nowhere
     close(package)
@@ -106,6 +109,7 @@ def test_without_any_folder_kernels_are_compiled_and_not_kept(nowhere, tmp_path)
     ]
 
 
+@pytest.mark.slow
 def test_kernels_compiled_ahead_are_found_where_nothing_can_be_written(nowhere, tmp_path):
     package, environment = nowhere
     warm = subprocess.run(

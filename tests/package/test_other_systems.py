@@ -73,6 +73,7 @@ def test_posix_is_imported_and_called_behind_a_question_only():
                 assert any(guard in text for guard in GUARDS), f"{path}:{node.lineno}: {node.attr}"
 
 
+@pytest.mark.slow
 def test_a_run_does_without_posix(tmp_path):
     arguments = [
         "run",

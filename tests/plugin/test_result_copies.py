@@ -71,6 +71,7 @@ def _register(count):
     return register_points(POINTS[:count], POINTS[:count])
 
 
+@pytest.mark.slow
 def test_results_come_back_from_another_process():
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         (result,) = pool.map(_register, [200])

@@ -28,24 +28,20 @@ def binned(value):
 
 
 @njit(**FLAGS)
-def count_pair(points, normals, i, j, own, other):
-    """Add how the normals of two neighbours stand to each other to the histograms of i, `own`, and of j, `other`.
-
-    Both see the same frame; where the normals point to opposite sides, j sees it with all normals turned.
-    """
+def count_pair(points, normals, i, j, histogram):
+    """Add how the normal of neighbour j stands to that of point i to the `histogram` of i."""
     dx, dy, dz = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     dx, dy, dz = dx / length, dy / length, dz / length
     ax, ay, az = normals[i, 0], normals[i, 1], normals[i, 2]
     bx, by, bz = normals[j, 0], normals[j, 1], normals[j, 2]
-    opposite = ax * bx + ay * by + az * bz < 0.0
-    if opposite:
+    if ax * bx + ay * by + az * bz < 0.0:
         bx, by, bz = -bx, -by, -bz
-    slope, slope_there = ax * dx + ay * dy + az * dz, bx * dx + by * dy + bz * dz
+    slope, other = ax * dx + ay * dy + az * dz, bx * dx + by * dy + bz * dz
     # The frame stands on the point whose normal is nearer to the line between both.
-    if abs(slope) < abs(slope_there):
+    if abs(slope) < abs(other):
         ax, ay, az, bx, by, bz = bx, by, bz, ax, ay, az
-        dx, dy, dz, slope = -dx, -dy, -dz, -slope_there
+        dx, dy, dz, slope = -dx, -dy, -dz, -other
     vx, vy, vz = dy * az - dz * ay, dz * ax - dx * az, dx * ay - dy * ax
     length = math.sqrt(vx * vx + vy * vy + vz * vz)
     if length < 1e-9:
@@ -53,15 +49,9 @@ def count_pair(points, normals, i, j, own, other):
     vx, vy, vz = vx / length, vy / length, vz / length
     wx, wy, wz = ay * vz - az * vy, az * vx - ax * vz, ax * vy - ay * vx
     turn = math.atan2(wx * bx + wy * by + wz * bz, ax * bx + ay * by + az * bz)
-    first = binned(turn / (2.0 * math.pi) + 0.5)
-    second = BINS + binned(0.5 * (vx * bx + vy * by + vz * bz + 1.0))
-    third = binned(0.5 * (slope + 1.0))
-    own[first] += 1.0
-    own[second] += 1.0
-    own[2 * BINS + third] += 1.0
-    other[BINS - 1 - first if opposite else first] += 1.0
-    other[second] += 1.0
-    other[2 * BINS + (BINS - 1 - third if opposite else third)] += 1.0
+    histogram[binned(turn / (2.0 * math.pi) + 0.5)] += 1.0
+    histogram[BINS + binned(0.5 * (vx * bx + vy * by + vz * bz + 1.0))] += 1.0
+    histogram[2 * BINS + binned(0.5 * (slope + 1.0))] += 1.0
 
 
 def _build(stamp):
@@ -124,16 +114,12 @@ def _build(stamp):
         simple = np.zeros((n, FEATURE))
         for i in range(n):
             for k in range(counts[i]):
-                j = neighbors[i, k]
-                if j > i:
-                    count_pair(points, normals, i, j, simple[i], simple[j])
-        for i in range(n):
+                count_pair(points, normals, i, neighbors[i, k], simple[i])
             for b in range(FEATURE):
                 simple[i, b] *= 100.0 / max(counts[i], 1)
-        around, opposite = np.empty(FEATURE), np.empty(FEATURE)
+        around = np.empty(FEATURE)
         for i in range(n):
             around[:] = 0.0
-            opposite[:] = 0.0
             for k in range(counts[i]):
                 j = neighbors[i, k]
                 dx, dy, dz = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
@@ -141,14 +127,11 @@ def _build(stamp):
                 agreement = (
                     normals[i, 0] * normals[j, 0] + normals[i, 1] * normals[j, 1] + normals[i, 2] * normals[j, 2]
                 )
-                sums = opposite if agreement < 0.0 else around
-                for b in range(FEATURE):
-                    sums[b] += share * simple[j, b]
-            # Seen with its normal turned, a neighbour has its first and its last histogram the other way round.
-            for b in range(BINS):
-                around[b] += opposite[BINS - 1 - b]
-                around[BINS + b] += opposite[BINS + b]
-                around[2 * BINS + b] += opposite[FEATURE - 1 - b]
+                for b in range(BINS):
+                    mirrored = BINS - 1 - b if agreement < 0.0 else b
+                    around[b] += share * simple[j, mirrored]
+                    around[BINS + b] += share * simple[j, BINS + b]
+                    around[2 * BINS + b] += share * simple[j, 2 * BINS + mirrored]
             for part in range(0, FEATURE, BINS):
                 total = 0.0
                 for b in range(part, part + BINS):

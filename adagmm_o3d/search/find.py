@@ -24,7 +24,7 @@ from adagmm_o3d.trust.judge import Judge
 # Evidence above which a pose stands by itself [nats per point, both clouds together], see `judge.Judge.evidence`.
 ESTABLISHED = 0.4
 # By how much another pose has to explain the clouds better than the one near the start that the caller gave: a little
-# where it stands by itself, more where neither does.
+# where it stands by itself, or where by the one near the start the clouds rather lie apart; more where neither does.
 BETTER, MUCH_BETTER = 0.05, 0.25
 # Two clearly different poses whose evidence, or whose likelihood where noise hides the shape, differs by less [nats per
 # point, both clouds together] cannot be told apart. Measured gaps of likelihood: symmetric bodies sampled twice 0.00 to
@@ -165,7 +165,7 @@ def _chosen(near: list[tuple[End, float]], pool: list[tuple[End, float]], sigma:
     best = ranked[0]
     if near:
         at_start = max(near, key=lambda item: item[1])
-        wanted = BETTER if best[1] >= ESTABLISHED else MUCH_BETTER
+        wanted = BETTER if best[1] >= ESTABLISHED or at_start[1] <= 0.0 < best[1] else MUCH_BETTER
         if best[1] < at_start[1] + wanted:
             best = at_start
     rivals = [item for item in ranked if item is not best]

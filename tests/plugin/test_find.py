@@ -6,6 +6,7 @@ import pytest
 from shapes import body_with_head, move
 
 from adagmm_o3d import InputError, InputTypeError, estimate_surface_covariances, register_points
+from adagmm_o3d.em.runs import End
 from adagmm_o3d.evaluation import pose_errors
 from adagmm_o3d.lie import se_exp
 from adagmm_o3d.mixtures.mixture import make_mixture
@@ -107,6 +108,14 @@ def test_features_are_asked_unless_the_first_end_is_certain(noise, proposals, mo
         errors = pose_errors(parts.T, parts.register().transformation)
         assert errors.rotation_deg < 2.0 and errors.translation < 0.04, (seed, errors)
         assert len(asked) == proposals, seed
+
+
+@pytest.mark.parametrize("at_start, elsewhere, left", [(-0.16, 0.07, True), (0.05, 0.2, False), (-0.4, -0.2, False)])
+def test_a_start_where_the_clouds_rather_lie_apart_is_left_for_a_pose_where_they_overlap(at_start, elsewhere, left):
+    there = se_exp(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
+    near, other = (End(pose, 1e-3, 0.5, 0.0, pose, (), 0, True) for pose in (np.eye(4), there))
+    chosen = find._chosen([(near, at_start)], [(other, elsewhere)], 1e-3).end
+    np.testing.assert_array_equal(chosen.pose, there if left else np.eye(4))
 
 
 def test_of_a_handful_of_points_nothing_is_recognised():

@@ -202,6 +202,50 @@ def test_what_is_evaluated_is_what_open3d_evaluates(scene):
     np.testing.assert_allclose(mine, matrix, rtol=1e-9, atol=1e-6)
 
 
+# Nothing known of the pose: the page on global registration
+
+
+def global_then_local(scene, icp):
+    """Features on both clouds, RANSAC on their correspondences, and its pose refined."""
+    voxel, clouds, features = 0.1, [], []
+    for cloud in (scene.source, scene.target):
+        down = cloud.voxel_down_sample(voxel)
+        down.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(radius=2 * voxel, max_nn=30))
+        clouds.append(down)
+        search = o3d.geometry.KDTreeSearchParamHybrid(radius=5 * voxel, max_nn=100)
+        features.append(reg.compute_fpfh_feature(down, search))
+    o3d.utility.random.seed(0)
+    coarse = reg.registration_ransac_based_on_feature_matching(
+        *clouds,
+        *features,
+        True,
+        1.5 * voxel,
+        reg.TransformationEstimationPointToPoint(False),
+        3,
+        [
+            reg.CorrespondenceCheckerBasedOnEdgeLength(0.9),
+            reg.CorrespondenceCheckerBasedOnDistance(1.5 * voxel),
+        ],
+        reg.RANSACConvergenceCriteria(100000, 0.999),
+    )
+    plane = reg.TransformationEstimationPointToPlane()
+    return icp(scene.source, scene.target, 0.4 * voxel, coarse.transformation, plane)
+
+
+def test_global_registration(scene):
+    errors = pose_errors(scene.T, global_then_local(scene, registration_adaptive_gmm).transformation)
+    theirs = pose_errors(scene.T, global_then_local(scene, reg.registration_icp).transformation)
+    assert errors.rotation_deg < 0.5 and errors.translation < 0.01
+    assert theirs.rotation_deg < 1.0 and theirs.translation < 0.03  # the script works
+
+
+def test_clouds_without_velocities_are_registered_where_doppler_icp_was_asked_for(scene):
+    method = treg.TransformationEstimationForDopplerICP()
+    result = registration_adaptive_gmm(*scene.tensors(core.float64), 0.2, core.Tensor(TUTORIAL_INIT), method)
+    errors = pose_errors(scene.T, result.transformation.numpy())
+    assert errors.rotation_deg < 0.5 and errors.translation < 0.01
+
+
 # Several views: the page on multiway registration
 
 

@@ -1,4 +1,7 @@
-"""The points of a tile that a block has read into its shared memory: (TILE, components), as `layout` has them."""
+"""The points of a tile that a block has read into its shared memory: (TILE, components), as `layout` has them.
+
+The loop over tiles stands in every kernel itself: Numba's simulator lets threads wait for their block only there.
+"""
 
 from adagmm_o3d.kernels.cuda.front_end import F0, fast, formulas
 from adagmm_o3d.kernels.cuda.tiles import Packed, Point

@@ -2,6 +2,7 @@
 
 import json
 import struct
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -16,10 +17,12 @@ import adagmm_fusion.sequence.edges as edges_module
 import adagmm_fusion.sequence.registration as registration
 from adagmm_fusion.cli import main
 from adagmm_fusion.errors import OutputError, RecordingError
-from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame, RGBDPair
 from adagmm_fusion.meshes.glb_file import colored_glb
 from adagmm_fusion.meshes.orientation import upright
 from adagmm_fusion.meshes.tsdf import TSDFVolume, save_mesh
+from adagmm_fusion.pairs.pipeline import register_pair
+from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.recordings.opening import open_recording
 from adagmm_fusion.rerun_log.fused_recording import FusedRecording, edge_residuals, fused_report
 from adagmm_fusion.sequence.edge_file import EdgeFile
@@ -227,6 +230,34 @@ def test_frames_that_nothing_holds_together_are_left_out():
     assert sorted(poses) == [2, 3, 4]
     for i in (2, 3, 4):
         np.testing.assert_allclose(poses[i], se_inverse(true[2]) @ true[i], rtol=0, atol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def registered_step():
+    """A pair of frames, and what became of it."""
+    pair = RGBDPair("1_to_0", frame_at(POSES[1]), frame_at(POSES[0]), None, 0)
+    return pair, register_pair(pair, Settings(start="features", device="cpu", voxel_size_m=0.05))
+
+
+@pytest.mark.parametrize(
+    ("agreeing", "overlap", "becomes"),
+    [
+        (15, 0.16, "sure"),
+        (15, 0.14, "overlap 0.14 is below 0.15"),
+        (14, 0.41, "doubtful"),
+        (5, 0.41, "doubtful"),
+        (5, 0.39, "overlap 0.39 is below 0.4 and the colours do not confirm it"),
+        (4, 0.59, "overlap 0.59 is below 0.6 and the colours do not confirm it"),
+        (0, 0.61, "sure"),
+    ],
+)
+def test_the_fewer_features_agree_the_more_has_to_overlap(registered_step, monkeypatch, agreeing, overlap, becomes):
+    pair, outcome = registered_step
+    judged = replace(outcome, agreeing_features=agreeing)
+    monkeypatch.setattr(edges_module, "register_pair", lambda *_, **__: judged)
+    monkeypatch.setattr(edges_module, "overlap_ratio", lambda *_: overlap)
+    found = edges_module.registered_edge(pair, 1, 0, Settings(device="cpu", voxel_size_m=0.05), loop_closure=False)
+    assert becomes == (found.reason or ("doubtful" if found.loop_closure else "sure"))
 
 
 def test_loops_are_sought_near_by_and_far_along_the_path():

@@ -13,8 +13,10 @@ from adagmm_fusion.pairs.settings import Settings
 from adagmm_o3d.evaluation import information_matrix, overlap_ratio
 
 # One wrong pose bends the whole path. A pose that the colour images do not confirm therefore needs the first overlap,
-# one that they confirm the second only.
-MIN_OVERLAP_ALONE, MIN_OVERLAP_CONFIRMED = 0.6, 0.15
+# one that they confirm the last only. Where fewer features agree than confirm a pose, but so many as agree with no
+# wrong one by chance, the second will do; the pose graph may drop it.
+MIN_OVERLAP_ALONE, MIN_OVERLAP_SUPPORTED, MIN_OVERLAP_CONFIRMED = 0.6, 0.4, 0.15
+SUPPORTING = 5
 # A rig's extrinsics weigh as much as this many point pairs at a metre's distance, which is more than any registration.
 RIG_POINTS = 1e5
 
@@ -44,6 +46,13 @@ def rig_edge(source: int, target: int, T_target_source: np.ndarray) -> Edge:
     return Edge(source, target, T_target_source, RIG_POINTS * np.eye(6), False)
 
 
+def least_overlap(agreeing: int) -> float:
+    """The overlap that a pose needs with which so many matched features agree."""
+    if agreeing >= MIN_INLIERS:
+        return MIN_OVERLAP_CONFIRMED
+    return MIN_OVERLAP_SUPPORTED if agreeing >= SUPPORTING else MIN_OVERLAP_ALONE
+
+
 def registered_edge(
     pair: RGBDPair, source: int, target: int, settings: Settings, *, loop_closure: bool, confirmed_only: bool = False
 ) -> Edge:
@@ -66,12 +75,13 @@ def registered_edge(
     points, onto = np.asarray(outcome.source_cloud.points), np.asarray(outcome.target_cloud.points)
     distance = common_partner_distance(settings)  # one for all edges, as their information counts partners
     overlap = overlap_ratio(points, onto, T, distance)
-    confirmed = outcome.agreeing_features >= MIN_INLIERS
-    least, but = (MIN_OVERLAP_CONFIRMED, "") if confirmed else (MIN_OVERLAP_ALONE, " and the colours do not confirm it")
+    confirmed, least = outcome.agreeing_features >= MIN_INLIERS, least_overlap(outcome.agreeing_features)
     if outcome.estimate.warnings:
         return refused("; ".join(outcome.estimate.warnings))
     if confirmed_only and not confirmed:
         return refused("the colours do not confirm that they show the same place")
     if overlap < least:
+        but = "" if confirmed else " and the colours do not confirm it"
         return refused(f"overlap {overlap:.2f} is below {least:g}{but}")
-    return Edge(source, target, T, information_matrix(points, onto, distance, T), loop_closure)
+    doubtful = loop_closure or (not confirmed and overlap < MIN_OVERLAP_ALONE)
+    return Edge(source, target, T, information_matrix(points, onto, distance, T), doubtful)

@@ -18,7 +18,7 @@ from adagmm_fusion.frames.rgbd import RGBDPair
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_o3d import TransformationEstimationForAdaptiveGMM, registration_adaptive_gmm
 from adagmm_o3d.evaluation import pose_errors
-from adagmm_o3d.lie import se_exp
+from adagmm_o3d.lie import hat, se_exp
 
 # How far the truth is turned, about a random axis through the target's centroid, and shifted [degrees, m].
 STARTS = {"5° and 0.1 m": (5.0, 0.1), "10° and 0.2 m": (10.0, 0.2)}
@@ -80,12 +80,12 @@ def colored_icp(pair: RGBDPair, init: np.ndarray, steps: Any) -> np.ndarray:
     return np.asarray(T)
 
 
-def ours(pair: RGBDPair, init: np.ndarray, variant: Variant) -> np.ndarray:
-    """A variant of this package, as the app calls it."""
+def ours(pair: RGBDPair, init: np.ndarray, variant: Variant) -> tuple[np.ndarray, dict[str, float]]:
+    """A variant of this package, as the app calls it: its pose, and the standard deviations that it says of it."""
     settings = Settings()
     source, target = clouds_from_pair(pair, target_points=settings.target_points, max_depth=settings.max_depth_m)
     with replaced(variant.replacements):
-        return registration_adaptive_gmm(
+        found = registration_adaptive_gmm(
             source,
             target,
             0.05,
@@ -94,7 +94,20 @@ def ours(pair: RGBDPair, init: np.ndarray, variant: Variant) -> np.ndarray:
             device="cpu",
             source_viewpoint=np.zeros(3),
             target_viewpoint=np.zeros(3),
-        ).details.transformation
+        ).details
+        return found.transformation, deviations(found.transformation, found.pose_covariance)
+
+
+def deviations(T_target_source: np.ndarray, covariance: np.ndarray | None) -> dict[str, float]:
+    """Standard deviations of a pose (4, 4), as its errors are measured: of the turn and of the translation, which a
+    turn on the left moves too; none without a covariance (6, 6)."""
+    if covariance is None:
+        return {}
+    moved = np.hstack([-hat(T_target_source[:3, 3]), np.eye(3)])
+    return {
+        "rotation_deviation_deg": float(np.degrees(np.sqrt(np.trace(covariance[:3, :3])))),
+        "translation_deviation": float(np.sqrt(np.trace(moved @ covariance @ moved.T))),
+    }
 
 
 PEERS: dict[str, tuple[str, Callable[[RGBDPair, np.ndarray], np.ndarray]]] = {
@@ -136,8 +149,12 @@ def run_color_trial(job: TrialJob[FramePair]) -> dict:
     centre = np.asarray(dense_cloud(pair.target, max_depth=Settings().max_depth_m).points).mean(axis=0)
     init = disturbed(pair.T_target_source, job.start, job.problem.index, centre)
     started, reason, T = time.process_time(), "", init
+    own: dict[str, float] = {}
     try:
-        T = ours(pair, init, VARIANTS[job.method]) if job.method in VARIANTS else PEERS[job.method][1](pair, init)
+        if job.method in VARIANTS:
+            T, own = ours(pair, init, VARIANTS[job.method])
+        else:
+            T = PEERS[job.method][1](pair, init)
     except Exception as error:  # a peer may raise anything, and that is its result
         reason = " ".join(f"{type(error).__name__}: {error}".split())
     seconds = time.process_time() - started
@@ -149,4 +166,5 @@ def run_color_trial(job: TrialJob[FramePair]) -> dict:
         cpu_seconds=seconds,
         rotation_error_deg=errors.rotation_deg,
         translation_error=errors.translation,
+        **own,
     )

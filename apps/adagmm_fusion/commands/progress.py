@@ -12,6 +12,7 @@ from adagmm_fusion.processes.terminal import printable
 def progress() -> Progress:
     """A progress display on stderr, if that is a terminal."""
     console = Console(stderr=True)
+    console.quiet = not console.is_terminal  # before rich 15 a display that is not shown ends in an empty line
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
 

@@ -363,9 +363,11 @@ def test_three_points_with_normals_are_enough():
 @pytest.mark.parametrize("dtype", [None, o3d.core.float32, o3d.core.float64])
 @pytest.mark.parametrize("voxel_size", [-1.0, 0.15])
 def test_open3ds_covariances_of_flat_faces_are_taken(voxel_size, dtype):
+    # A box alone is itself half a turn on, which is warned of.
     o3d.utility.random.seed(0)
-    box = o3d.geometry.TriangleMesh.create_box(1.0, 2.0, 3.0)
-    source, target = box.sample_points_uniformly(3000), box.sample_points_uniformly(3000)
+    box = o3d.geometry.TriangleMesh.create_box
+    body = box(1.0, 2.0, 3.0) + box(1.5, 0.7, 0.5).translate((1.0, 0.0, 0.0))
+    source, target = body.sample_points_uniformly(3000), body.sample_points_uniformly(3000)
     T = random_pose(np.random.default_rng(0), 3, angle=0.2, distance=0.15)
     target.transform(T)
     for cloud in (source, target):
@@ -381,6 +383,16 @@ def test_open3ds_covariances_of_flat_faces_are_taken(voxel_size, dtype):
     assert result.details.trustworthy
     errors = pose_errors(T, result.details.transformation)
     assert errors.rotation_deg < 0.02 and errors.translation < 1e-3
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_box_is_said_to_fit_as_well_half_a_turn_on(seed):
+    o3d.utility.random.seed(seed)
+    box = o3d.geometry.TriangleMesh.create_box(1.0, 2.0, 3.0)
+    clouds = [box.sample_points_uniformly(3000) for _ in range(2)]
+    clouds[1].transform(random_pose(np.random.default_rng(seed), 3, angle=0.2, distance=0.15))
+    result = registration_adaptive_gmm(*clouds, 0.1, np.eye(4), voxel_size=0.15)
+    assert any("symmetric shape" in warning for warning in result.details.warnings)
 
 
 def test_one_factor_on_all_covariances_changes_nothing(pair):

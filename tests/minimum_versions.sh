@@ -12,5 +12,5 @@ pip() { "$python" -m pip install --quiet --disable-pip-version-check "$@"; }
 export OMP_WAIT_POLICY=passive
 pip -e ".[open3d-cpu]" pytest hypothesis --constraint tests/minimum_versions/core.txt
 "$python" -m pytest tests/plugin
-pip -e ".[bench,distributed,open3d-cpu]" pytest hypothesis coverage evo --constraint tests/minimum_versions/apps.txt
+pip -e ".[bench,distributed,open3d-cpu]" pytest hypothesis coverage evo markdown --constraint tests/minimum_versions/apps.txt
 "$python" -m pytest tests/fusion tests/bench

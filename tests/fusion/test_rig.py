@@ -40,7 +40,7 @@ def random_rig(seed):
     sensors = {}
     for name in ("left", "right_2", "top.3"):
         T = np.eye(4)
-        T[:3, :3] = Rotation.random(rng=rng).as_matrix()
+        T[:3, :3] = Rotation.from_quat(rng.normal(size=4)).as_matrix()
         T[:3, 3] = rng.normal(size=3)
         intrinsics = PinholeIntrinsics(512, 424, *rng.uniform(200, 400, size=4), distortion=rng.normal(size=5))
         sensors[name] = SensorCalibration(name, intrinsics, rng.uniform(1, 5000), T)

@@ -1,6 +1,7 @@
 """The regression behind `details.belief`: what it finds, what the command says, and that the package goes by it."""
 
 import json
+import os
 
 import numpy as np
 import pytest
@@ -121,3 +122,11 @@ def test_what_is_no_report_is_named(tmp_path, capsys):
             read_outcomes(path)
     assert main(["belief", str(tmp_path / "absent.json"), "--output", str(tmp_path)]) == 1
     assert "absent.json" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes of POSIX")
+def test_a_pipe_for_a_report_is_not_waited_for(tmp_path, capsys):
+    os.mkfifo(tmp_path / "report.json")
+    assert main(["belief", str(tmp_path / "report.json"), "--output", str(tmp_path / "out")]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "report.json: cannot be read: it is a pipe" in line

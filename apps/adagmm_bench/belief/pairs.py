@@ -117,24 +117,13 @@ def _started(
     angle = {"near": rng.uniform(0.0, NEAR_DEG), "anywhere": None, "wrong": rng.uniform(*WRONG_DEG)}[str(how)]
     motion = _motion(rng, dimension, angle, (NEAR_SHIFT if how == "near" else 1.0) / np.sqrt(dimension))
     return Pair(
-        _apply(motion, source),
+        moved(source, motion),
         target,
-        _inverse(motion) if related else None,
+        lie.se_inverse(motion) if related else None,
         _covariances(rng, source, target),
         limits,
         anywhere,
     )
-
-
-def _apply(motion: np.ndarray, points: np.ndarray) -> np.ndarray:
-    return points @ motion[:-1, :-1].T + motion[:-1, -1]
-
-
-def _inverse(motion: np.ndarray) -> np.ndarray:
-    inverse = np.eye(len(motion))
-    inverse[:-1, :-1] = motion[:-1, :-1].T
-    inverse[:-1, -1] = -inverse[:-1, :-1] @ motion[:-1, -1]
-    return inverse
 
 
 def _pieces(rng: np.random.Generator, dimension: int, share: float) -> tuple[np.ndarray, np.ndarray]:
@@ -183,7 +172,7 @@ def half_a_turn(rng: np.random.Generator, dimension: int) -> Pair:
         flip = -np.eye(dimension + 1)
         flip[2:, 2:] *= -1.0  # about the axis of symmetry, which is the third or, in the plane, the only one
         motion = motion @ flip
-    return Pair(_apply(motion, one), other, _inverse(motion), _covariances(rng, one, other), FOUND)
+    return Pair(moved(one, motion), other, lie.se_inverse(motion), _covariances(rng, one, other), FOUND)
 
 
 def mirrored(rng: np.random.Generator, dimension: int) -> Pair:
@@ -224,7 +213,7 @@ def noisy(rng: np.random.Generator, dimension: int) -> Pair:
         marked = OUTLIER_COVARIANCE if said else 1.0
         covariances.append(np.concatenate([variances, np.tile(marked * np.eye(dimension), (len(far), 1, 1))]))
     started = _started(rng, *clouds, limits=FOUND_BENT)
-    motion = _inverse(started.T_target_source)[:-1, :-1]
+    motion = lie.se_inverse(started.T_target_source)[:-1, :-1]
     covariances[0] = motion @ covariances[0] @ motion.T
     return Pair(**(vars(started) | {"covariances": tuple(covariances)}))
 

@@ -19,6 +19,7 @@ from adagmm_bench.report import command_line, machine_note, markdown_table, prin
 from adagmm_bench.runner import run_jobs
 from adagmm_bench.trial import TrialJob
 from adagmm_fusion.files.atomic_file import check_output_file, write_text
+from adagmm_fusion.files.input_file import read_input_text
 from adagmm_fusion.processes.terminal import printable
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.trust.verdict import CONSTANT, WEIGHTS
@@ -93,10 +94,11 @@ def read_trials(path: Path) -> list[dict]:
     ------
     InputError  if the file is no such report.
     """
+    text = read_input_text(path, InputError)
     try:
-        trials = json.loads(path.read_text(encoding="utf-8"))["trials"]
+        trials = json.loads(text)["trials"]
         known = all({"status", "problem", "limits"} <= set(trial) for trial in trials)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(f"{path}: expected a report.json of adagmm-bench pairs, got {error}") from error
     if not known:
         raise InputError(f"{path}: expected trials of adagmm-bench pairs, got others")

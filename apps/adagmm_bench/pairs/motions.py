@@ -1,4 +1,4 @@
-"""Random rigid motions (4, 4), and pairs of clouds moved by them."""
+"""Random rigid motions, and points and pairs of clouds moved by them."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def turn(rng: np.random.Generator, angle_deg: float | None) -> np.ndarray:
 
 
 def moved(points: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """(..., 3) points after a motion."""
-    return points @ motion[:3, :3].T + motion[:3, 3]
+    """(..., D) points after a motion (D+1, D+1)."""
+    return points @ motion[:-1, :-1].T + motion[:-1, -1]
 
 
 def about(centre: np.ndarray, motion: np.ndarray) -> np.ndarray:

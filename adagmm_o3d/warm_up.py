@@ -23,12 +23,12 @@ def warm_up(*, paper_rules: bool = True) -> None:
     """
     points = np.random.default_rng(0).normal(size=(MANY, 3))
     few = points[:FEW]
-    result = register_points(points + 0.1, points, device="cpu")
-    result.find_partners()
-    result.assess()
-    result.weigh()
     colors = 0.5 + 0.5 * np.tanh(points)
-    register_points(points + 0.1, points, device="cpu", source_colors=colors, target_colors=colors)
+    for both in (None, colors):
+        result = register_points(points + 0.1, points, device="cpu", source_colors=both, target_colors=both)
+        result.find_partners()
+        result.assess()
+        result.weigh()
     # A surface whose parts share a half only, which features have to tell.
     sphere = points / np.linalg.norm(points, axis=1, keepdims=True) * (1.0, 0.7, 0.4)
     left, right = sphere[sphere[:, 0] < 0.3], sphere[sphere[:, 0] > -0.3]

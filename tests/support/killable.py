@@ -1,9 +1,12 @@
 """A process that has imported everything and runs commands in forks of itself, which can be killed soon and often.
 
-It keeps to one core and one thread: a fork has no other threads, and must not wait for any.
+It keeps to one core and one thread: a fork has no other threads, and must not wait for any. A command that does not
+end is stopped, and what its threads were at is in what it printed.
 """
 
+import faulthandler
 import fcntl
+import importlib
 import json
 import os
 import resource
@@ -22,6 +25,9 @@ sys.path.insert(0, %r)
 import killable
 killable.serve()
 """
+# Rerun and what it imports have threads from the start, so each fork imports it for itself.
+OF_RERUN = "adagmm_fusion.commands.run"
+LONGEST_S = 300.0
 ONE_THREAD = {name: "1" for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
 
 
@@ -64,20 +70,20 @@ def serve() -> None:
     import adagmm_bench.cli
     import adagmm_bench.runner
     import adagmm_fusion.cli
-    import adagmm_fusion.commands.run
     from adagmm_fusion.pairs.pipeline import compile_kernels
 
     def one_by_one(function, tasks, **_):
         return ((key, function(task)) for key, task in tasks.items())
 
     cv2.setNumThreads(0)
-    adagmm_bench.cli.build_parser()
-    adagmm_fusion.cli.parser()
+    adagmm_bench.cli.build_parser(("sim2d",))
     compile_kernels("cpu")
     adagmm_bench.runner.run_tasks = one_by_one  # no further processes
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     programs = {"adagmm-fusion": adagmm_fusion.cli, "adagmm-bench": adagmm_bench.cli}
+    threads = [Path(f"/proc/self/task/{task}/comm").read_text() for task in os.listdir("/proc/self/task")]
+    assert len(threads) == 1, threads
     for line in sys.stdin:
         print(json.dumps(_forked(programs, **json.loads(line))), file=answers, flush=True)
 
@@ -91,10 +97,13 @@ def _forked(programs, command: list[str], number: int, after: float, file_bytes:
         try:
             os.dup2(out.end, 1)
             os.dup2(err.end, 2)
+            faulthandler.dump_traceback_later(LONGEST_S, exit=True, file=2)
+            if command[0] == "adagmm-fusion":
+                importlib.import_module(OF_RERUN)
             code = _code_of(programs[command[0]], command[1:], hearing, file_bytes)
-        finally:
             sys.stdout.flush()
             sys.stderr.flush()
+        finally:  # even if a signal comes after the command's end
             os._exit(code)
     os.close(hearing)
     os.read(ready, 1)
@@ -114,9 +123,11 @@ class _Printed:
         fcntl.fcntl(self.end, fcntl.F_SETPIPE_SZ, 1 << 20)
 
     def read(self) -> str:
+        """What is there now: a process that the command left behind may hold the other end open."""
         os.close(self.end)
+        os.set_blocking(self._start, False)
         with os.fdopen(self._start, "rb") as file:
-            return file.read().decode()
+            return (file.read() or b"").decode()
 
 
 def _code_of(program, arguments: list[str], hearing: int, file_bytes: int | None) -> int:

@@ -238,17 +238,31 @@ def test_covariance_compares_true_errors_with_what_it_says(tmp_path, monkeypatch
         "trial_ids",
         lambda dimension, *, seed, **_: [TrialId(dimension, "outliers", 0.3, i, seed) for i in range(6)],
     )
-    arguments = ["covariance", "--workers", "1", "--data", str(tmp_path), "--output", str(tmp_path / "out")]
+    monkeypatch.setattr(covariance, "CAMERAS", ("depths 1 % apart",))
+    arguments = [
+        "covariance",
+        "--workers",
+        "1",
+        "--rooms",
+        "1",
+        "--data",
+        str(tmp_path),
+        "--output",
+        str(tmp_path / "out"),
+    ]
     assert main(arguments) == 0
     report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert len(report["trials"]) == 2 * 2 * 6
+    assert len(report["trials"]) == 2 * 2 * 6 + 1
     rows = {row[0]: dict(zip(report["columns"], row, strict=True)) for row in report["rows"]}
     for dimension, directions in covariance.DIRECTIONS.items():
-        squares = [t["nees"] for t in report["trials"] if t["problem"]["dimension"] == dimension]
+        squares = [t["nees"] for t in report["trials"] if t["problem"].get("dimension") == dimension]
         assert rows[f"{dimension}D"] == rows[f"{dimension}D, outliers"] | {report["columns"][0]: f"{dimension}D"}
         assert rows[f"{dimension}D"]["mean"] == f"{np.mean(squares):.2f}" and rows[f"{dimension}D"]["found"] == "12/12"
         assert 0.3 * directions < np.mean(squares) < 3.0 * directions
         assert rows[f"{dimension}D, noise"]["mean"] == "-"
+    rendered = rows["rendered rooms by the app, depths 1 % apart"]
+    assert rendered["found"] == "1/1" and 0.3 < float(rendered["mean"]) < 20.0
+    assert report["trials"][-1]["translation_error"] > 0.01, "far more than without"
     captured = capsys.readouterr()
     assert "left out the Kinect scenes" in captured.err and "3D, outliers" in captured.out
 

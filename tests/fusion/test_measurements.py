@@ -8,6 +8,7 @@ from shared_data import ROOT
 
 from adagmm_fusion.frames.depth_geometry import back_project, project
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame, RGBDPair
+from adagmm_fusion.measurements.depth_errors import SCALE, SHIFT_M
 from adagmm_fusion.measurements.features import FeatureMatches, FeatureMeasurements
 from adagmm_fusion.measurements.joint_pose import MANY, SOME, Measurements, refine
 from adagmm_fusion.measurements.residuals import Residuals, counted_once, normal_equations
@@ -15,7 +16,7 @@ from adagmm_fusion.measurements.surfaces import SurfaceMeasurements
 from adagmm_fusion.pairs.feature_start import match_features
 from adagmm_fusion.recordings.opening import open_recording
 from adagmm_o3d.evaluation import pose_errors
-from adagmm_o3d.lie import se_exp
+from adagmm_o3d.lie import se_exp, se_log
 
 INTRINSICS = PinholeIntrinsics(320, 240, 260.0, 262.0, 159.5, 119.5)
 DISTORTED = replace(INTRINSICS, distortion=(0.1, -0.05, 0.001, -0.002, 0.01))
@@ -110,6 +111,21 @@ def test_a_wall_leaves_three_directions_that_features_hold():
     assert np.sqrt(np.linalg.eigvalsh(alone.uncertainty(points).covariance)[-1]) > 0.5
 
 
+def surfaces_of(source: np.ndarray, target: np.ndarray) -> Measurements:
+    return Measurements(SurfaceMeasurements(RGBDPair("pair", frame(source), frame(target), None, 0), **LIMITS), None)
+
+
+@pytest.mark.parametrize("kind", range(4), ids=["source scale", "source shift", "target scale", "target shift"])
+def test_an_error_of_all_depths_moves_the_pose_as_the_covariance_has_it(kind):
+    size, depths = 0.004, [corner(), corner()]
+    depths[kind // 2] = depths[kind // 2] * (1.0 + size) if kind % 2 == 0 else depths[kind // 2] + size
+    right = refine(surfaces_of(corner(), corner()), np.eye(4), MANY)
+    moved = se_log(refine(surfaces_of(*depths), np.eye(4), MANY).T_target_source)
+    points = back_project(corner(), INTRINSICS).reshape(-1, 3)
+    expected = -right.depth_effects(points)[:, kind] * size / (SCALE, SHIFT_M)[kind % 2]
+    assert np.linalg.norm(moved - expected) < 0.1 * np.linalg.norm(expected)
+
+
 def test_both_together_find_the_shipped_pose(shipped, measured):
     start = se_exp((0.003, -0.003, 0.002, 0.01, 0.0, -0.01)) @ shipped.T_target_source
     found = refine(measured, start, MANY)
@@ -131,10 +147,11 @@ def test_errors_that_go_together_count_as_few():
     places = rng.uniform(0.0, 2.0, (4000, 3)) * [1.0, 1.0, 0.0]
     jacobians = rng.normal(size=(4000, 1, 6))
     jacobians[:, :, 0] = 1.0
-    apart = normal_equations(Residuals(rng.normal(size=(4000, 1)), jacobians, places), 1e-4)
+    by_depth = np.zeros((4000, 1, 4))
+    apart = normal_equations(Residuals(rng.normal(size=(4000, 1)), jacobians, by_depth, places), 1e-4)
     assert apart.correlation < 2.0
     shared = rng.normal(size=64)[(np.floor(places[:, 0] / 0.25) * 8 + np.floor(places[:, 1] / 0.25)).astype(int)]
-    together = normal_equations(Residuals(shared[:, None], jacobians, places), 1e-4)
+    together = normal_equations(Residuals(shared[:, None], jacobians, by_depth, places), 1e-4)
     assert together.correlation > 5.0
     np.testing.assert_allclose(together.information, together.hessian / together.correlation, rtol=1e-12, atol=0)
 

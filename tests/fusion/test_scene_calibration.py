@@ -23,7 +23,7 @@ def noisy_edges(rng: np.random.Generator, moments: int, deviation: float) -> tup
     for moment in range(moments):
         for target, source in (("a", "b"), ("b", "c"), ("a", "c")):
             T = se_exp(scales * rng.normal(size=6)) @ se_inverse(poses[target]) @ poses[source]
-            edges.append(SceneEdge(str(moment), target, source, T, np.diag(scales**-2.0)))
+            edges.append(SceneEdge(str(moment), target, source, T, np.diag(scales**-2.0), np.zeros((6, 4))))
     return poses, edges
 
 
@@ -47,12 +47,31 @@ def test_the_covariances_are_those_of_the_errors():
     assert not covariances["a"].any()
 
 
+def test_what_depths_share_does_not_average_out():
+    squares = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        truth, edges = noisy_edges(rng, 8, 1e-4)
+        errors = {sensor: rng.normal(size=2) for sensor in SENSORS}
+        effects = 0.01 * np.random.default_rng(0).normal(size=(6, 4))
+        wrong = []
+        for edge in edges:
+            off = effects @ np.concatenate([errors[edge.source], errors[edge.target]])
+            T = se_exp(off) @ edge.T_target_source
+            wrong.append(SceneEdge(edge.moment, edge.target, edge.source, T, edge.information, effects))
+        poses, covariances, _ = solve_poses(wrong, SENSORS)
+        for sensor in ("b", "c"):
+            off = se_log(se_inverse(truth[sensor]) @ poses[sensor])
+            squares.append(off @ np.linalg.solve(covariances[sensor], off))
+    assert 4.0 < np.mean(squares) < 8.0
+
+
 @pytest.mark.parametrize("wrong", [0, 4])
 def test_an_edge_that_contradicts_the_rest_is_named_and_let_go(wrong):
     truth, edges = noisy_edges(np.random.default_rng(3), 4, 0.002)
     bad = edges[wrong]
     T = se_exp((0.0, 0.5, 0.0, 0.3, 0.0, 0.0)) @ bad.T_target_source
-    edges[wrong] = SceneEdge(bad.moment, bad.target, bad.source, T, bad.information)
+    edges[wrong] = SceneEdge(bad.moment, bad.target, bad.source, T, bad.information, bad.depth_effects)
     poses, _, disagreeing = solve_poses(edges, SENSORS)
     assert disagreeing == [bad.name]
     for sensor in SENSORS:

@@ -60,7 +60,7 @@ def test_the_oldest_versions_are_those_that_the_requirements_name(file, extras):
         if least is not None and name_of(requirement) not in NOT_PINNED:
             oldest.setdefault(name_of(requirement), []).append(least[1])
     if file == "core.txt":
-        oldest |= {"pytest": ["8"], "hypothesis": ["6.100"]}
+        oldest |= {"pytest": ["8"], "pytest-timeout": ["2.3"], "hypothesis": ["6.100"]}
     pinned = pins(file)
     assert set(oldest) - {"dask"} == set(pinned) - {"dask", "distributed"}
     for name, versions in oldest.items():

@@ -90,12 +90,15 @@ def test_whichever_cloud_comes_first(turn):
 
 
 def test_features_propose_the_pose():
-    parts = Parts(3, 0.5, turn=2.5)
-    source, target, normalisation = parts.mixtures()
-    poses = feature_poses(source, target)
-    errors = [pose_errors(parts.T, normalisation.pose_out(pose)).rotation_deg for pose in poses]
-    assert min(errors[:5]) < 10.0
-    np.testing.assert_allclose(np.linalg.det(np.array(poses)[:, :3, :3]), 1.0, rtol=0, atol=1e-9)
+    # Which of nearly equal matches are looked at first, the last bits decide, which differ between processors.
+    proposed = 0
+    for seed in range(8):
+        parts = Parts(seed, 0.6, turn=2.5)
+        source, target, normalisation = parts.mixtures()
+        poses = feature_poses(source, target)
+        proposed += min(pose_errors(parts.T, normalisation.pose_out(pose)).rotation_deg for pose in poses[:5]) < 10.0
+        np.testing.assert_allclose(np.linalg.det(np.array(poses)[:, :3, :3]), 1.0, rtol=0, atol=1e-9)
+    assert proposed >= 7
 
 
 @pytest.mark.parametrize("noise, proposals", [(0.0005, 0), (0.004, 1)])

@@ -6,6 +6,7 @@ import numpy as np
 
 from adagmm_fusion.frames.depth_geometry import project
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
+from adagmm_fusion.measurements.depth_errors import by_depth
 from adagmm_fusion.measurements.residuals import (
     LEAST,
     NormalEquations,
@@ -57,9 +58,7 @@ class FeatureMeasurements:
         near = squares(residuals) < NEAR_SQ
         if near.sum() < LEAST:
             return None
-        return normal_equations(
-            Residuals(residuals.values[near], residuals.jacobians[near], residuals.places[near]), LEAST_SCALE
-        )
+        return normal_equations(residuals.take(near), LEAST_SCALE)
 
     def agreeing(self, T_target_source: np.ndarray) -> int:
         """How many matches agree with a pose."""
@@ -91,4 +90,7 @@ class FeatureMeasurements:
         whitening = np.linalg.inv(np.linalg.cholesky(covariances))
         values = np.einsum("nij,nj->ni", whitening, off)
         areas = np.sqrt(np.linalg.det(covariances))
-        return Residuals(values, whitening @ by_point @ by_pose, points), areas
+        of_source = whitening @ by_point @ by_depth(points - t, self._matches.points[seen, 2])
+        # The target's depth has no part in it.
+        of_depth = np.concatenate([of_source, np.zeros_like(of_source)], axis=2)
+        return Residuals(values, whitening @ by_point @ by_pose, of_depth, points), areas

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adagmm_fusion.measurements.depth_errors import DEPTH_ERRORS, pose_effects
 from adagmm_fusion.measurements.features import FeatureMeasurements
 from adagmm_fusion.measurements.residuals import NormalEquations
 from adagmm_fusion.measurements.surfaces import SurfaceMeasurements
@@ -34,9 +35,9 @@ class Measurements:
         found = [kind.equations(T_target_source, most) for kind in kinds if kind is not None]
         return [equations for equations in found if equations is not None]
 
-    def information(self, T_target_source: np.ndarray) -> np.ndarray:
-        """(6, 6) what they hold of the pose, see `JointPose`."""
-        return sum((e.information for e in self.equations(T_target_source, SOME)), np.zeros((6, 6)))
+    def known(self, T_target_source: np.ndarray) -> "JointPose":
+        """A pose, and what they hold of it."""
+        return _known(T_target_source, self.equations(T_target_source, SOME))
 
     def scale(self, T_target_source: np.ndarray) -> float:
         """Variance of the surfaces' residuals at a pose, over what was said of it; infinite where they do not meet."""
@@ -58,16 +59,34 @@ class JointPose:
     """A pose T_target_source (4, 4) and what is known of it.
 
     information : (6, 6) of δ = (ω, v) in exp(δ)·T [rad, m]; zero along what no measurement holds.
+    depth_pull : (6, 4) how what the depths of a camera share pulls on δ, see `depth_errors`.
     """
 
     T_target_source: np.ndarray
     information: np.ndarray
+    depth_pull: np.ndarray
 
     def uncertainty(self, points: np.ndarray) -> PoseUncertainty:
         """Covariance and free directions of the pose; points (N, 3) [m], target frame, are what is seen.
 
-        In a direction that nothing holds the standard deviation is one radius of the points.
+        In a direction that nothing holds the standard deviation is one radius of the points. Without `depth_effects`.
         """
+        outward, held, directions = self._motions(points)
+        free = held < FREE_DEVIATION**-2
+        variances = np.where(free, 1.0, 1.0 / np.where(free, 1.0, held))
+        return PoseUncertainty((outward * variances) @ outward.T, tuple(directions[:, free].T))
+
+    def depth_effects(self, points: np.ndarray) -> np.ndarray:
+        """(6, 4) what the errors that all depths of a camera share do to the pose, see `depth_errors.pose_effects`."""
+        outward, held, _ = self._motions(points)
+        free = held < FREE_DEVIATION**-2
+        return pose_effects(
+            (outward * np.where(free, 0.0, 1.0 / np.where(free, 1.0, held))) @ outward.T, self.depth_pull
+        )
+
+    def _motions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Independent motions (6, 6), how well each is held (6,), and the same in turns about the points' centre and
+        shifts in radii (6, 6)."""
         centre = points.mean(axis=0)
         radius = float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean()))
         # From turns about the centre and shifts in radii to turns about the origin and shifts in metres.
@@ -75,24 +94,25 @@ class JointPose:
         change[3:, :3] = hat(centre)
         change[3:, 3:] *= radius
         held, directions = np.linalg.eigh(change.T @ self.information @ change)
-        free = held < FREE_DEVIATION**-2
-        variances = np.where(free, 1.0, 1.0 / np.where(free, 1.0, held))
-        outward = change @ directions
-        return PoseUncertainty((outward * variances) @ outward.T, tuple(directions[:, free].T))
+        return change @ directions, held, directions
 
 
 def refine(measurements: Measurements, start: np.ndarray, most: int) -> JointPose:
     """The pose nearby that all measurements together make likeliest, by `most` pixels of either image."""
     T = start
-    information = np.zeros((6, 6))
+    equations: list[NormalEquations] = []
     for _ in range(SOME_STEPS if most <= SOME else MANY_STEPS):
         equations = measurements.equations(T, most)
-        information = sum((e.information for e in equations), np.zeros((6, 6)))
-        step = -_solved(information, sum((e.pull for e in equations), np.zeros(6)))
+        step = -_solved(_known(T, equations).information, sum((e.pull for e in equations), np.zeros(6)))
         T = se_exp(step) @ T
         if np.linalg.norm(step) < SETTLED:
             break
-    return JointPose(T, information)
+    return _known(T, equations)
+
+
+def _known(T_target_source: np.ndarray, equations: list[NormalEquations]) -> JointPose:
+    information = sum((e.information for e in equations), np.zeros((6, 6)))
+    return JointPose(T_target_source, information, sum((e.depth_pull for e in equations), np.zeros((6, DEPTH_ERRORS))))
 
 
 def _solved(information: np.ndarray, pull: np.ndarray) -> np.ndarray:

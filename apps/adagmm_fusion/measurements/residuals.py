@@ -14,6 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adagmm_fusion.measurements.depth_errors import DEPTH_ERRORS
+
 # Residuals have the tails of a t distribution of so many degrees of freedom, cut where the square is this large.
 FREEDOM, CUT_SQ = 4.0, 25.0
 # Medians of chi squared by degrees of freedom.
@@ -26,17 +28,23 @@ LEAST = 6
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """values (n, k) in standard deviations, their derivatives (n, k, 6) by δ = (ω, v) in exp(δ)·T, and the places
-    (n, 3) [m] of the measurements."""
+    """values (n, k) in standard deviations, their derivatives (n, k, 6) by δ = (ω, v) in exp(δ)·T, those (n, k, 4) by
+    what all depths of a camera share, see `depth_errors`, and the places (n, 3) [m] of the measurements."""
 
     values: np.ndarray
     jacobians: np.ndarray
+    by_depth: np.ndarray
     places: np.ndarray
+
+    def take(self, chosen: np.ndarray) -> "Residuals":
+        """Those at an index or mask."""
+        return Residuals(self.values[chosen], self.jacobians[chosen], self.by_depth[chosen], self.places[chosen])
 
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """hessian (6, 6) and gradient (6,) of half the weighted sum of squares.
+    """hessian (6, 6) and gradient (6,) of half the weighted sum of squares; cross (6, 4) by the pose and what depths
+    share.
 
     scale : variance of the residuals, over what was said of them.   count : how many have any weight.
     correlation : how many times the variance of the scores is that of independent residuals, ≥ 1.
@@ -44,6 +52,7 @@ class NormalEquations:
 
     hessian: np.ndarray
     gradient: np.ndarray
+    cross: np.ndarray
     scale: float
     count: int
     correlation: float
@@ -57,6 +66,11 @@ class NormalEquations:
     def pull(self) -> np.ndarray:
         """(6,) the gradient of the same weight."""
         return self.gradient / self.correlation
+
+    @property
+    def depth_pull(self) -> np.ndarray:
+        """(6, 4) cross of the same weight."""
+        return self.cross / self.correlation
 
 
 def squares(residuals: Residuals) -> np.ndarray:
@@ -78,7 +92,8 @@ def normal_equations(residuals: Residuals, least_scale: float) -> NormalEquation
     weights = np.where(relative < CUT_SQ, 1.0 / (scale * (1.0 + relative / FREEDOM)), 0.0)
     scores = np.einsum("n,nk,nki->ni", weights, residuals.values, residuals.jacobians)
     rows = residuals.jacobians.reshape(-1, 6)
-    hessian = (rows * np.repeat(weights, residuals.values.shape[1])[:, None]).T @ rows
+    weighted = (rows * np.repeat(weights, residuals.values.shape[1])[:, None]).T
+    hessian, cross = weighted @ rows, weighted @ residuals.by_depth.reshape(-1, DEPTH_ERRORS)
     count = int(np.count_nonzero(weights))
     if count < LEAST:
         return None
@@ -86,7 +101,7 @@ def normal_equations(residuals: Residuals, least_scale: float) -> NormalEquation
     values, vectors = np.linalg.eigh(hessian)
     firm = vectors[:, values > 1e-9 * values[-1]] / np.sqrt(values[values > 1e-9 * values[-1]])
     growth = float(np.mean(((sums @ firm) ** 2).sum(axis=0)))
-    return NormalEquations(hessian, scores.sum(axis=0), scale, count, max(growth, 1.0))
+    return NormalEquations(hessian, scores.sum(axis=0), cross, scale, count, max(growth, 1.0))
 
 
 def counted_once(places: np.ndarray, gains: np.ndarray) -> float:

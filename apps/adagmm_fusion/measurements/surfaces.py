@@ -9,7 +9,7 @@ G. Blais, M. Levine: Registering multiview range data to create 3D computer obje
 projection).   Y. Chen, G. Medioni: Object modelling by registration of multiple range images, 1992 (planes).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from adagmm_fusion.clouds.sensor_models import NONE
 from adagmm_fusion.clouds.surface_grid import SurfaceGrid, surface_grid
 from adagmm_fusion.frames.depth_geometry import project
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame, RGBDPair
+from adagmm_fusion.measurements.depth_errors import by_depth
 from adagmm_fusion.measurements.residuals import NormalEquations, Residuals, counted_once, normal_equations
 from adagmm_o3d.lie import se_inverse
 from adagmm_o3d.trust.observability import FREE_SHARE, generalised_eigen
@@ -49,10 +50,13 @@ class _Partners:
     """Pixels of one image and what the other sees in their place, all in the frame of the other.
 
     points, planes (n, 3), normals (n, 3) of the planes, cosines (n,) between the normals, variances (n,).
+    points_by_depth, planes_by_depth : (n, 3, 2) see `depth_errors.by_depth`.
     """
 
     points: np.ndarray
     planes: np.ndarray
+    points_by_depth: np.ndarray
+    planes_by_depth: np.ndarray
     normals: np.ndarray
     cosines: np.ndarray
     variances: np.ndarray
@@ -87,7 +91,7 @@ class SurfaceMeasurements:
         return 0.5 * total
 
     def _residuals(self, T_target_source: np.ndarray, most: int) -> Residuals:
-        values, jacobians, places = [], [], []
+        values, jacobians, depth_derivatives, places = [], [], [], []
         for backwards, (partners, T) in enumerate(self._both(T_target_source, most)):
             off = np.einsum("ni,ni->n", partners.normals, partners.points - partners.planes)
             alike = (partners.cosines >= LEAST_COSINE) & (np.abs(off) < NEAR_M)
@@ -99,8 +103,17 @@ class SurfaceMeasurements:
             deviations = np.sqrt(partners.variances[alike])
             values.append(off[alike] / deviations)
             jacobians.append(sign * np.hstack([turns, shifts]) / deviations[:, None])
+            across = partners.normals[alike] / deviations[:, None]
+            of_points = np.einsum("ni,nij->nj", across, partners.points_by_depth[alike])
+            of_planes = -np.einsum("ni,nij->nj", across, partners.planes_by_depth[alike])
+            depth_derivatives.append(np.hstack([of_planes, of_points] if backwards else [of_points, of_planes]))
             places.append(planes)
-        return Residuals(np.concatenate(values)[:, None], np.concatenate(jacobians)[:, None], np.concatenate(places))
+        return Residuals(
+            np.concatenate(values)[:, None],
+            np.concatenate(jacobians)[:, None],
+            np.concatenate(depth_derivatives)[:, None],
+            np.concatenate(places),
+        )
 
     def _both(self, T_target_source: np.ndarray, most: int) -> list[tuple[_Partners, np.ndarray]]:
         """The source's pixels among the target's and the other way round, each with the pose that brings it home."""
@@ -140,10 +153,12 @@ def _partners(own: _Side, other: _Side, T_other_own: np.ndarray, most: int) -> _
     index, points, columns, rows = index[inside], points[inside], columns[inside].astype(int), rows[inside].astype(int)
     known = other.grid.known[rows, columns]
     index, points, columns, rows = index[known], points[known], columns[known], rows[known]
-    normals = other.grid.normals[rows, columns]
+    normals, planes = other.grid.normals[rows, columns], other.grid.points[rows, columns]
     return _Partners(
         points,
-        other.grid.points[rows, columns],
+        planes,
+        by_depth(points - t, own.grid.points.reshape(-1, 3)[index, 2]),
+        by_depth(planes, planes[:, 2]),
         normals,
         np.einsum("ni,ni->n", normals, own.grid.normals.reshape(-1, 3)[index] @ R.T),
         own.variances.ravel()[index] + other.variances[rows, columns],
@@ -165,4 +180,5 @@ def _without_free(found: NormalEquations, places: np.ndarray) -> NormalEquations
     held = motions[:, shares >= FREE_SHARE]
     outward = everywhere @ held
     hessian = (outward * shares[shares >= FREE_SHARE]) @ outward.T
-    return NormalEquations(hessian, outward @ (held.T @ found.gradient), found.scale, found.count, found.correlation)
+    gradient, cross = (outward @ (held.T @ of_pose) for of_pose in (found.gradient, found.cross))
+    return replace(found, hessian=hessian, gradient=gradient, cross=cross)

@@ -51,7 +51,7 @@ def compete(measurements: Measurements, proposed: list[np.ndarray]) -> Winner:
     winner = refine(measurements, poses[best], MANY)
     left = sum(measurements.evidence(winner.T_target_source, scale))
     if left < evidence[best].sum() - _loss(evidence)[best]:
-        winner = JointPose(poses[best], measurements.information(poses[best]))
+        winner = measurements.known(poses[best])
     T = winner.T_target_source
     apart = [not are_near(pose, T, APART_DEG, APART_M) for pose in poses]
     lead = evidence[best].sum() - evidence[apart].sum(axis=1).max() if any(apart) else np.inf

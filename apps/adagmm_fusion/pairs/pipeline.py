@@ -60,6 +60,8 @@ class PairOutcome:
     features : the pose the colour images agreed on, where the registration started; None where the clouds had to do.
     estimate : the registration, with the pose refined by all that both frames measure, see `pairs.refinement`.
     agreeing_features : how many matched features agree with that pose.
+    depth_effects : (6, 4) what a standard deviation of the source's and of the target's depth scale and shift do to the
+        pose; the estimate's covariance has them, pairs of the same cameras share them.
     seconds_clouds, seconds_features, seconds_registration : wall time of each step.
     """
 
@@ -75,6 +77,7 @@ class PairOutcome:
     evaluation: Evaluation | None = None
     features: FeatureStart | None = None
     agreeing_features: int | None = None
+    depth_effects: np.ndarray | None = None
     seconds_clouds: float | None = None
     seconds_features: float | None = None
     seconds_registration: float | None = None
@@ -148,6 +151,7 @@ def register_pair(
         )
         refined = refine_pair(pair, settings, result.details, seen, source, target)
         reached |= {"estimate": refined.estimate, "agreeing_features": refined.agreeing}
+        reached |= {"depth_effects": refined.depth_effects}
         reached |= {"seconds_registration": time.perf_counter() - start}
     except AdaGMMError as problem:
         return _refused(pair.name, pair.index, problem, **reached)

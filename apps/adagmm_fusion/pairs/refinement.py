@@ -38,10 +38,14 @@ class SeenFeatures:
 
 @dataclass(frozen=True, eq=False)
 class RefinedPair:
-    """The estimate at the refined pose, and how many matched features agree with it."""
+    """The estimate at the refined pose, and how many matched features agree with it.
+
+    depth_effects : (6, 4) see `depth_errors.pose_effects`.
+    """
 
     estimate: PointRegistrationResult
     agreeing: int
+    depth_effects: np.ndarray
 
 
 def see_features(pair: RGBDPair, settings: Settings) -> SeenFeatures:
@@ -69,7 +73,8 @@ def refine_pair(
         features = FeatureMeasurements(seen.matches, pair.source.intrinsics, pair.target.intrinsics)
     proposed = [registered.transformation, *(start.T_target_source for start in seen.starts)]
     winner = compete(Measurements(surfaces, features), proposed)
-    return RefinedPair(_concluded(registered, winner, source, target), winner.agreeing)
+    effects = winner.joint.depth_effects(np.asarray(target.points))
+    return RefinedPair(_concluded(registered, winner, source, target, effects), winner.agreeing, effects)
 
 
 def _concluded(
@@ -77,6 +82,7 @@ def _concluded(
     winner: Winner,
     source: o3d.geometry.PointCloud,
     target: o3d.geometry.PointCloud,
+    depth_effects: np.ndarray,
 ) -> PointRegistrationResult:
     """The registration's result at the winner's pose.
 
@@ -94,6 +100,8 @@ def _concluded(
     uncertainty = winner.joint.uncertainty(np.asarray(target.points))
     if stayed and winner.agreeing < LEAST:
         uncertainty = registered.assess()
+    if uncertainty.covariance is not None:
+        uncertainty = replace(uncertainty, covariance=uncertainty.covariance + depth_effects @ depth_effects.T)
     return replace(
         registered,
         transformation=T,

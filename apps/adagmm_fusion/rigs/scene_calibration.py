@@ -1,8 +1,9 @@
 """Where fixed sensors stand, from what they see: every two of them registered at every moment, all poses at once.
 
 Each registration is an edge with its covariance; the sensors' poses are those that all edges together make likeliest,
-with weights that let an edge go which contradicts the rest. What all moments have in common, such as a wrong focal
-length, no redundancy shows.
+with weights that let an edge go which contradicts the rest. What a camera's depth has wrong at all moments alike does
+not average out, and goes into the covariances as it is; of what else they have in common, such as a wrong focal length,
+nothing shows.
 """
 
 from collections.abc import Callable, Iterator
@@ -28,13 +29,17 @@ ITERATIONS = 50
 
 @dataclass(frozen=True, eq=False)
 class SceneEdge:
-    """Two sensors registered at a moment. T_target_source (4, 4); information (6, 6) of δ = (ω, v) in exp(δ)·T."""
+    """Two sensors registered at a moment. T_target_source (4, 4); information (6, 6) of δ = (ω, v) in exp(δ)·T.
+
+    depth_effects : (6, 4) see `depth_errors.pose_effects`; not in the information.
+    """
 
     moment: str
     target: str
     source: str
     T_target_source: np.ndarray
     information: np.ndarray
+    depth_effects: np.ndarray
 
     @property
     def name(self) -> str:
@@ -81,8 +86,9 @@ def calibrate_from_scene(
         if outcome.status != "ok" or outcome.estimate.pose_covariance is None:
             failed[edge_name] = outcome.reason
             continue
-        information = np.linalg.inv(outcome.estimate.pose_covariance)
-        edges.append(SceneEdge(moment, a.sensor, b.sensor, np.asarray(outcome.T_estimate), information))
+        effects = np.asarray(outcome.depth_effects)
+        information = np.linalg.inv(outcome.estimate.pose_covariance - effects @ effects.T)
+        edges.append(SceneEdge(moment, a.sensor, b.sensor, np.asarray(outcome.T_estimate), information, effects))
     poses, covariances, disagreeing = solve_poses(edges, recording.sensors)
     missing = [sensor for sensor in recording.sensors if sensor not in poses]
     if missing:
@@ -101,8 +107,11 @@ def solve_poses(
     place = {sensor: 6 * row for row, sensor in enumerate(free)}
     covariance: np.ndarray = np.zeros((6 * len(free), 6 * len(free)))
     squares, scale = np.zeros(len(used)), 1.0
+    # What each sensor's scale and shift of depth do to the poses.
+    effects: dict[str, np.ndarray] = {}
     for _ in range(ITERATIONS if free else 0):
         hessian, gradient = np.zeros_like(covariance), np.zeros(len(covariance))
+        effects = {sensor: np.zeros((len(covariance), 2)) for sensor in poses}
         off = [se_log(_between(poses, e) @ se_inverse(e.T_target_source)) for e in used]
         squares = np.array([d @ e.information @ d for d, e in zip(off, used, strict=True)])
         scale = max(1.0, float(np.median(squares)) / CHI_SQ_MEDIAN)
@@ -115,12 +124,17 @@ def solve_poses(
                 rows[:, place[edge.source] : place[edge.source] + 6] = se_adjoint(_between(poses, edge))
             hessian += weight * rows.T @ edge.information @ rows
             gradient += weight * rows.T @ edge.information @ residual
+            pulled = weight * rows.T @ edge.information @ edge.depth_effects
+            effects[edge.source] += pulled[:, :2]
+            effects[edge.target] += pulled[:, 2:]
         covariance = np.linalg.inv(hessian)
         step = -covariance @ gradient
         for sensor, first in place.items():
             poses[sensor] = poses[sensor] @ se_exp(step[first : first + 6])
         if np.abs(step).max() < 1e-9:
             break
+    shared = [covariance @ pull for pull in effects.values()]
+    covariance = covariance + sum(of_sensor @ of_sensor.T for of_sensor in shared)
     covariances = {sensor: np.zeros((6, 6)) for sensor in poses}
     covariances |= {s: covariance[first : first + 6, first : first + 6] for s, first in place.items()}
     disagreeing = [edge.name for edge, square in zip(used, squares, strict=True) if square > scale * DISAGREES_SQ]

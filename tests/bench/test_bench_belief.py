@@ -46,6 +46,7 @@ def test_the_package_goes_by_what_the_command_prints():
     assert fit_belief(outcomes_seen(read_outcomes())).rounded() == (WEIGHTS, CONSTANT)
 
 
+@pytest.mark.slow
 def test_the_recorded_outcomes_are_those_of_the_generated_pairs():
     recorded = {outcome["pair"]: outcome for outcome in read_outcomes()}
     assert {key.split(" #")[0] for key in recorded} == set(KINDS)
@@ -88,6 +89,7 @@ def record(group, signs, right):
     }
 
 
+@pytest.mark.slow
 def test_the_command_fits_what_it_makes_and_checks_it_on_reports(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("adagmm_bench.commands.belief.KINDS", ("noisy, in the plane", "strangers, in the plane"))
     trials = [record("room, as given", 4 * [9.0], right) for right in (True, True, False)]

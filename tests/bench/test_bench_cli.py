@@ -86,6 +86,7 @@ def test_the_axis_is_logarithmic_where_ours_would_lie_on_zero(tmp_path, monkeypa
     assert shown == [scale]
 
 
+@pytest.mark.slow
 def test_sim2d_writes_report_figures_and_every_trial(tmp_path, capsys):
     output, empty = tmp_path / "out", tmp_path / "empty"
     empty.mkdir()
@@ -157,6 +158,7 @@ def test_replay_gives_the_record_of_the_sweep_and_a_rerun_file(tmp_path, capsys)
     assert again["T_target_source"] == first["T_target_source"]
 
 
+@pytest.mark.slow
 def test_methods_are_listed_with_their_settings(capsys):
     assert main(["methods"]) == 0
     printed = capsys.readouterr().out

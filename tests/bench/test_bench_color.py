@@ -25,6 +25,7 @@ def test_the_same_start_for_every_method_and_another_for_every_pair():
     assert not np.allclose(disturbed(T, start, 1, centre), disturbed(T, start, 2, centre))
 
 
+@pytest.mark.slow
 def test_deviations_are_those_of_the_errors():
     """Of poses drawn with a covariance, as far as 4000 of them tell."""
     rng = np.random.default_rng(2)

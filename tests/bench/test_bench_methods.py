@@ -30,6 +30,7 @@ def easy_pair(dimension: int, points: int) -> Problem:
     return Problem("easy", Cloud((source - t) @ R, identity[: len(source)]), Cloud(target, identity[: len(target)]), T)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "dimension"), CASES, ids=[f"{name}-{dimension}D" for name, dimension in CASES])
 def test_every_method_solves_an_easy_pair(name, dimension):
     entry = METHODS[name]

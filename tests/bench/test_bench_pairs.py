@@ -192,6 +192,7 @@ def test_a_record_says_what_ours_says_of_itself(tmp_path):
     assert peer["translation_error"] * peer["unit"] < 1.0
 
 
+@pytest.mark.slow
 def test_the_command_prints_both_tables_and_goes_on_where_it_was(tmp_path, capsys):
     data = tmp_path / "data"
     (data / "cloud_pairs").mkdir(parents=True)
@@ -321,6 +322,7 @@ class _FromTruth:
         )
 
 
+@pytest.mark.slow
 def test_the_command_prints_curves_and_trust(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(overlap, "SHARES", (0.6,))
     (tmp_path / "data").mkdir()

@@ -120,6 +120,7 @@ def test_kinect_scenes_fit_at_their_truth():
     assert overlap_ratio(source, target, clouds.T_target_source, 0.05) > 0.3
 
 
+@pytest.mark.slow
 def test_different_rooms_come_from_different_recordings():
     folder = shared_data("cloud_pairs").parent
     shared_data("recordings")

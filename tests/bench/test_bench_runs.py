@@ -114,6 +114,7 @@ def test_results_of_another_version_are_made_again(tmp_path):
     assert without_times([again]) == without_times([record])
 
 
+@pytest.mark.slow
 def test_results_of_other_data_are_made_again(tmp_path):
     """A file of models under the same name, whose models are others now."""
     models = tmp_path / "models.npz"
@@ -139,6 +140,7 @@ def test_a_version_changes_with_what_a_trial_is_made_by(library, monkeypatch):
         assert f"'{module}'" in after
 
 
+@pytest.mark.slow
 def test_a_worker_with_another_version_is_refused(tmp_path):
     with Journal(tmp_path / "r.jsonl") as journal, pytest.raises(TrialError, match=r"a worker has open3d 0\.0\.1"):
         run_jobs(jobs(1), journal, Placement(workers=1), run=from_elsewhere)

@@ -97,6 +97,7 @@ def test_methods_take_turns_on_each_pair(monkeypatch):
     assert all((values > 0).all() for values in seconds.values())
 
 
+@pytest.mark.slow
 def test_the_kernels_are_measured_with_every_pair_evaluated(monkeypatch):
     monkeypatch.setattr(kernel, "POINTS", 500)
     monkeypatch.setattr(kernel, "MATRIX", 128)

@@ -35,6 +35,7 @@ def measurements(pair, surfaces, matches) -> Measurements:
     return Measurements(surfaces, FeatureMeasurements(matches, pair.source.intrinsics, pair.target.intrinsics))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [1, -1])
 def test_a_registration_that_slid_away_loses_to_features(pair, surfaces, matches, order):
     right = se_exp((0.002, 0.0, 0.001, 0.005, 0.0, 0.0)) @ pair.T_target_source

@@ -66,6 +66,7 @@ def test_the_results_fit_together(finished):
     assert not [path for path in folder.rglob(".*")]
 
 
+@pytest.mark.slow
 def test_the_estimated_rig_can_be_used_as_calibration(finished, tmp_path):
     folder, _ = finished
     recording = open_recording(SHIPPED, rig=load_rig(folder / "rig.yaml"))
@@ -78,6 +79,7 @@ def test_the_estimated_rig_can_be_used_as_calibration(finished, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["report.json", "report.md", "rig.yaml"]
 
 
+@pytest.mark.slow
 def test_a_saved_rerun_file_goes_where_it_should(tmp_path):
     target = tmp_path / "elsewhere.rrd"
     arguments = [
@@ -97,6 +99,7 @@ def test_a_saved_rerun_file_goes_where_it_should(tmp_path):
     assert content(tmp_path / "out")["results"]["Rerun recording"] == "../elsewhere.rrd"
 
 
+@pytest.mark.slow
 def test_failed_pairs_are_shown_and_the_exit_code_says_that_all_are(tmp_path, capsys):
     arguments = ["run", SHIPPED, "--pairs", "0", "--no-rerun", "--no-clouds", "--max-rotation-error", "0.0001"]
     assert main([*arguments, "--output", str(tmp_path), *QUICK]) == 6
@@ -133,6 +136,7 @@ def test_the_exit_code_follows_from_the_pairs(ok, pairs, lenient, strict):
     assert verdict(ok, pairs, strict=True) == strict
 
 
+@pytest.mark.slow
 def test_an_interruption_keeps_what_was_finished(tmp_path, monkeypatch, capsys):
     run_pairs = adagmm_fusion.commands.run.run_pairs
 
@@ -149,6 +153,7 @@ def test_an_interruption_keeps_what_was_finished(tmp_path, monkeypatch, capsys):
     assert command("rerun", "rrd", "verify", str(tmp_path / "two_kinects.rrd")).returncode == 0
 
 
+@pytest.mark.slow
 def test_a_crash_keeps_the_report_and_is_not_hidden(tmp_path, monkeypatch):
     run_pairs = adagmm_fusion.commands.run.run_pairs
 
@@ -206,6 +211,7 @@ def test_a_name_that_is_too_long_is_one_line_on_stderr(arguments, name, tmp_path
     assert err.startswith("adagmm-fusion") and "File name too long" in err
 
 
+@pytest.mark.slow
 def test_a_folder_that_cannot_be_written_is_one_line_on_stderr(tmp_path, capsys):
     (tmp_path / "file").write_text("in the way")
     assert main(["run", SHIPPED, "--pairs", "0", "--no-rerun", "--output", str(tmp_path / "file"), *QUICK]) == 1
@@ -232,6 +238,7 @@ def test_wrong_usage_exits_with_2(arguments, capsys):
     assert "usage: adagmm-fusion" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_simulate_makes_a_recording_that_run_takes(tmp_path, monkeypatch, capsys):
     small_sensor(monkeypatch)
     assert main(["simulate", str(tmp_path / "room"), "--pairs", "1", "--seed", "5"]) == 0
@@ -300,6 +307,7 @@ def test_wrong_settings_files_are_errors(text, code, message, tmp_path, capsys):
     assert out == "" and message in err
 
 
+@pytest.mark.slow
 def test_a_run_can_be_quiet(tmp_path, capsys):
     arguments = ["run", SHIPPED, "--pairs", "0", "--no-rerun", "--no-clouds", "--output", str(tmp_path), *QUICK]
     assert main([*arguments, "--quiet"]) == 0

@@ -111,6 +111,7 @@ def test_correlation_of_colors_ignores_exposure_and_white_balance():
     assert color_correlation(colors[:10], colors[:10]) is None
 
 
+@pytest.mark.slow
 def test_a_registered_pair_has_its_stages_and_its_diagnosis():
     settings = Settings(target_points=1200, device="cpu")
     record = pair_record(register_pair(open_recording(ROOT / "recordings" / "two_kinects")[0], settings), settings)

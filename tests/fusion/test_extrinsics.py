@@ -104,6 +104,7 @@ def test_a_rig_whose_extrinsics_are_meant_otherwise(tmp_path, name):
     assert note.startswith(f"the pose of right to left looks like {name}: ")
 
 
+@pytest.mark.slow
 def test_verify_and_info_say_so(tmp_path, capsys):
     rig = load_rig(ROOT / "calibration" / "two_kinects.yaml")
     right = rig.sensors["right"]

@@ -29,6 +29,7 @@ def nothing_stays_open():
     video._open.cache_clear()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("codec", ["MJPG", "NV12"])
 def test_a_recording_is_read_with_its_own_calibration(tmp_path, codec):
     write_azure_mkv(tmp_path / "desk.mkv", FRAMES, COLOR, DEPTH, T_COLOR_DEPTH, codec=codec)
@@ -44,6 +45,7 @@ def test_a_recording_is_read_with_its_own_calibration(tmp_path, codec):
         assert np.isfinite(off).mean() > 0.5 and np.nanpercentile(off, 95) < 0.02
 
 
+@pytest.mark.slow
 def test_a_capture_that_lacks_an_image_is_left_out_and_said(tmp_path, capsys):
     """Neither is another capture's image taken in its place, nor a capture shown twice."""
     (first, depth), (second, _), (third, last) = FRAMES
@@ -88,6 +90,7 @@ def test_no_capture_at_all(tmp_path):
         open_recording(tmp_path / "desk.mkv")
 
 
+@pytest.mark.slow
 def test_damage_is_an_error_of_ours(tmp_path):
     write_azure_mkv(tmp_path / "desk.mkv", FRAMES[:2], COLOR, DEPTH, T_COLOR_DEPTH)
     data, rng = (tmp_path / "desk.mkv").read_bytes(), np.random.default_rng(5)

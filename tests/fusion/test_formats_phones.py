@@ -79,6 +79,7 @@ def test_polycams_corrected_poses_come_first(tmp_path):
     np.testing.assert_allclose(moved[:3, 3], POSES[0][:3, 3] + (1.0, 0.0, 0.0), rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_record3d_as_an_archive(tmp_path):
     write_record3d(tmp_path / "inside", POSES, PHONE)
     with zipfile.ZipFile(tmp_path / "scan.r3d", "w") as archive:

@@ -67,6 +67,7 @@ def fuse(walk, folder, *more) -> int:
     )
 
 
+@pytest.mark.slow
 def test_a_walk_is_fused_and_its_trajectory_is_right(walk, tmp_path, capsys):
     assert fuse(walk, tmp_path / "out") == 0
     out = capsys.readouterr().out
@@ -86,6 +87,7 @@ def test_a_walk_is_fused_and_its_trajectory_is_right(walk, tmp_path, capsys):
     assert np.degrees(turn.magnitude()) < 1.0
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on_where_it_was(walk, tmp_path, monkeypatch, capsys):
     register_pair, registered = edges_module.register_pair, []
 
@@ -366,6 +368,7 @@ def test_a_real_walk(tmp_path, capsys):
     assert float(out.split("ATE ")[1].split(" mm")[0]) < 10.0
 
 
+@pytest.mark.slow
 def test_what_became_of_the_frames_is_saved_by_default(walk, tmp_path):
     (tmp_path / "mesh.obj").write_text("of an earlier run")
     assert fuse(walk, tmp_path) == 0

@@ -62,6 +62,7 @@ def trajectory(path):
     return np.array(poses)
 
 
+@pytest.mark.slow
 def test_a_moving_rig_is_fused_as_a_whole(tmp_path, capsys):
     folder = write_rig_recording(tmp_path / "rig", T_WORLD_RIG, motion="moving")
     out = tmp_path / "out"
@@ -152,6 +153,7 @@ def test_wrong_loops_are_named_within_fragments_and_between_them(monkeypatch, mo
     assert set(dropped) == set(wrong) and len(dropped) == 3
 
 
+@pytest.mark.slow
 def test_images_that_are_alike_are_found(monkeypatch):
     monkeypatch.setattr(loop_candidates, "ALIKE_PER_FRAME", 1)
     recording = open_recording(ROOT / "recordings" / "two_kinects")

@@ -59,6 +59,7 @@ OTHERS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "arguments",
     [["run", SHIPPED, *more] for more in RUN] + [["fuse", SHIPPED, *more] for more in FUSE] + OTHERS,

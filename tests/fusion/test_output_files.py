@@ -130,6 +130,7 @@ def test_a_rerun_file_is_checked_before_the_work(tmp_path, command, kind, no_wor
     assert "expected " in is_refused(arguments, capsys)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "name"),
     [

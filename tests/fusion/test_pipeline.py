@@ -54,6 +54,7 @@ def test_an_outcome_says_where_it_came_from(outcome, pair):
     assert outcome.seconds_clouds > 0.0 and outcome.seconds_registration > 0.0
 
 
+@pytest.mark.slow
 def test_colours_count_unless_they_are_told_not_to_or_say_nothing(outcome, pair):
     assert outcome.estimate.color is not None
     record = pair_record(outcome, FEW_POINTS)
@@ -78,6 +79,7 @@ def test_overlap_is_the_share_of_source_points_with_a_partner(outcome):
         np.testing.assert_allclose(np.mean(nearest < outcome.evaluation.partner_distance_m), overlap, rtol=0, atol=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("limits", "reason"),
     [
@@ -92,6 +94,7 @@ def test_an_error_above_a_limit_is_a_failure(pair, limits, reason):
     assert failed.estimate is not None
 
 
+@pytest.mark.slow
 def test_a_wrong_ground_truth_shows(pair, outcome):
     wrong = pair.T_target_source.copy()
     wrong[0, 3] += 0.5
@@ -101,6 +104,7 @@ def test_a_wrong_ground_truth_shows(pair, outcome):
     np.testing.assert_array_equal(failed.T_estimate, outcome.T_estimate)
 
 
+@pytest.mark.slow
 def test_without_ground_truth_the_estimate_judges_itself(pair, outcome):
     judged = register_pair(with_truth(pair, None), FEW_POINTS)
     assert judged.judged_by == "estimate"
@@ -118,12 +122,14 @@ def test_a_frame_without_depth_is_a_failure_with_its_reason(pair):
     assert failed.pair is not None
 
 
+@pytest.mark.slow
 def test_the_callback_sees_every_iteration(pair):
     seen = []
     outcome = register_pair(pair, FEW_POINTS, seen.append)
     assert [step["iteration_index"] for step in seen] == list(range(outcome.estimate.iterations))
 
 
+@pytest.mark.slow
 def test_a_damaged_pair_does_not_stop_the_others(tmp_path):
     folder = _copy_of_shipped(tmp_path)
     image = folder / "right" / "depth" / "000001.png"

@@ -58,6 +58,7 @@ def disparity(frame):
     return replace(frame, depth=d.clip(0, 65535).astype(np.uint16))
 
 
+@pytest.mark.slow
 def test_sound_recordings_are_left_alone(shipped):
     assert recording_warnings(shipped) == ()
 
@@ -96,6 +97,7 @@ def test_colour_that_is_mirrored_against_its_depth(frames):
     assert sensor_warnings(turned) == ["the colour image looks mirrored against the depth, left to right"]
 
 
+@pytest.mark.slow
 def test_one_mirrored_sensor_of_two(shipped):
     pair = shipped[0]
     assert not looks_mirrored(pair.source, pair.target) and looks_mirrored(mirrored(pair.source), pair.target)
@@ -112,6 +114,7 @@ def test_depth_in_a_wrong_unit(frames, times):
     assert f"depth_scale {1000 / times:g} should be 1000" in warning
 
 
+@pytest.mark.slow
 def test_where_no_steps_are_the_known_poses_tell_the_unit(shipped):
     """Metres in floating point, called millimetres."""
     metres = changed(shipped, None, lambda frame: replace(frame, depth=frame.depth_m() * 1.0, depth_scale=1000.0))
@@ -125,6 +128,7 @@ def test_disparity_is_no_depth(frames):
     assert any("looks like disparity" in text for text in sensor_warnings([disparity(frame) for frame in frames]))
 
 
+@pytest.mark.slow
 def test_info_and_report_say_so(tmp_path, capsys, monkeypatch, shipped):
     wrong = changed(shipped, "right", lambda frame: shifted(frame, 25))
     monkeypatch.setattr("adagmm_fusion.commands.info.recording_of", lambda args: wrong)

@@ -35,6 +35,7 @@ def test_exact_edges_give_exact_poses():
         np.testing.assert_allclose(poses[sensor], truth[sensor], rtol=0, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_the_covariances_are_those_of_the_errors():
     squares = []
     for seed in range(60):
@@ -85,6 +86,7 @@ def test_a_sensor_that_no_edge_leads_to_has_no_pose():
     assert set(poses) == set(covariances) == {"a", "b"}
 
 
+@pytest.mark.slow
 def test_the_shipped_rig_is_found_without_a_board(tmp_path, capsys):
     output = tmp_path / "rig.yaml"
     recording = ROOT / "recordings" / "two_kinects"
@@ -100,6 +102,7 @@ def test_the_shipped_rig_is_found_without_a_board(tmp_path, capsys):
     assert written["disagreeing"] == []
 
 
+@pytest.mark.slow
 def test_two_xtions_are_placed_without_a_board(tmp_path, capsys):
     folder = shared_data("recordings/two_xtion_rig")
     assert main(["calibrate", "--from-scene", str(folder), "--output", str(tmp_path / "rig.yaml")]) == 0

@@ -243,6 +243,7 @@ def test_look_at_is_a_camera_that_looks_there():
     np.testing.assert_allclose((T_world_camera[:3, :3].T @ rolled[:3, :3])[0, 0], np.cos(np.deg2rad(10.0)), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_simulated_recording_opens_with_its_rig(tmp_path, monkeypatch):
     small_sensor(monkeypatch)
     names = []
@@ -259,6 +260,7 @@ def test_a_simulated_recording_opens_with_its_rig(tmp_path, monkeypatch):
     assert recording[1].source.timestamp == 2.0
 
 
+@pytest.mark.slow
 def test_the_rig_file_can_lie_in_the_calibration_folder(tmp_path, monkeypatch):
     small_sensor(monkeypatch)
     rig = tmp_path / "calibration" / "mine.yaml"

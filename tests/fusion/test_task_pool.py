@@ -208,6 +208,7 @@ def somebody_else():
         server.close()
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_none_is_one_line(somebody_else, monkeypatch, capfd):
     """Dask's client would print tracebacks, also when it is thrown away."""
     pytest.importorskip("distributed", reason="needs the [distributed] extra")

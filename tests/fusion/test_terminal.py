@@ -39,6 +39,7 @@ def room(tmp_path, monkeypatch):
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_any_encoding_will_do(encoding, room, tmp_path, monkeypatch):
     out, err = (io.TextIOWrapper(io.BytesIO(), encoding=encoding, errors="strict") for _ in range(2))
@@ -82,6 +83,7 @@ def test_names_are_printed_as_data(name, tmp_path, capsys):
         assert words in out
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="file names of bytes")
 def test_a_folder_with_escapes(room, tmp_path, capsys):
     output = tmp_path / "\x1b[31m[red]out"
@@ -92,6 +94,7 @@ def test_a_folder_with_escapes(room, tmp_path, capsys):
     assert "\x1b" not in out and out.count("\\x1b[31m") > 4 and "\\x1b[31m[red]out/report.json" in out
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="file names of bytes")
 def test_a_folder_whose_name_is_no_text(room, tmp_path, capsys):
     output = os.fsdecode(os.fsencode(tmp_path) + b"/out\xff")
@@ -106,6 +109,7 @@ def test_a_folder_whose_name_is_no_text(room, tmp_path, capsys):
     assert (tmp_path / "report.md").read_text(encoding="utf-8") == "of out\\udcff"
 
 
+@pytest.mark.slow
 def test_many_recordings_with_markup_in_their_names(room, tmp_path, capsys):
     folder = tmp_path / "many"
     folder.mkdir()
@@ -167,6 +171,7 @@ def test_a_machine_that_gives_no_more(problem, line, capsys):
     assert out == "" and err.startswith(f"program: {line}") and err.count("\n") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["stdout", "stderr", "both"])
 def test_a_process_without_output(name, monkeypatch):
     for stream in ("stdout", "stderr") if name == "both" else (name,):
@@ -198,6 +203,7 @@ def test_errors_that_are_no_output_are_not_hidden(tmp_path, monkeypatch):
         monkeypatch.undo()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="/dev/full")
 @pytest.mark.parametrize("command", [["info", SHIPPED], ["run", SHIPPED, "--pairs", "0", *QUICK]])
 def test_a_full_disk_behind_the_output(command, tmp_path):
@@ -226,6 +232,7 @@ def not_under_nohup():
     signal.signal(signal.SIGHUP, before)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="POSIX")
 @pytest.mark.usefixtures("not_under_nohup")
 def test_a_terminal_that_goes_away(room, tmp_path, monkeypatch):

@@ -25,6 +25,7 @@ def knocked(tmp_path, tangent):
     return str(tmp_path / "rig.yaml")
 
 
+@pytest.mark.slow
 def test_the_rig_of_the_shipped_recording_is_unchanged(capsys):
     assert main(["verify", str(RIG), SHIPPED, "--device", "cpu"]) == 0
     out, err = capsys.readouterr()
@@ -33,6 +34,7 @@ def test_the_rig_of_the_shipped_recording_is_unchanged(capsys):
     assert "rotation [°]" in out and "translation [mm]" in out and out.count(" ± ") == 8  # two a frame, two in all
 
 
+@pytest.mark.slow
 def test_a_knocked_sensor_has_moved_by_as_much(tmp_path, capsys):
     rig = knocked(tmp_path, (0.0, np.radians(4.0), 0.0, 0.05, 0.0, 0.1))
     log = tmp_path / "moved.rrd"
@@ -46,6 +48,7 @@ def test_a_knocked_sensor_has_moved_by_as_much(tmp_path, capsys):
         assert any(f"/world/rig/left/right/{entity}:" in column for column in logged), entity
 
 
+@pytest.mark.slow
 def test_tolerances_are_the_users(capsys):
     arguments = ["verify", str(RIG), SHIPPED, "--device", "cpu", "--max-rotation", "0.01", "--max-translation", "0.1"]
     assert main(arguments) == 3  # registration is not as good as that

@@ -87,6 +87,7 @@ def test_where_arrays_lie_does_not_decide_how_a_loop_rounds(processes):
     assert list(loops_by_address(module)) == []
 
 
+@pytest.mark.slow
 def test_a_loop_that_rounds_by_where_arrays_lie_is_found(tmp_path):
     environment = os.environ | {"NUMBA_DUMP_OPTIMIZED": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
     process = subprocess.run(
@@ -96,6 +97,7 @@ def test_a_loop_that_rounds_by_where_arrays_lie_is_found(tmp_path):
     assert len(found) == 1 and "fast" in found[0]
 
 
+@pytest.mark.slow
 def test_compiling_is_announced_once_and_only_where_there_is_some(tmp_path):
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     said = [

@@ -148,6 +148,7 @@ def test_leaving_out_far_tiles_changes_nothing_worth_mentioning(dimension, isotr
     )
 
 
+@pytest.mark.slow
 @shapes
 @pytest.mark.parametrize("sigma", [3e-4, 1e-2])
 def test_leaving_out_far_points_changes_the_posteriors_by_no_more_than_float32_does(dimension, isotropic, sigma):

@@ -62,6 +62,7 @@ def test_help_imports_nothing_that_takes_long(program, arguments, allowed):
     assert imported <= allowed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("program", "arguments", "missing", "message"),
     [
@@ -122,6 +123,7 @@ def test_reruns_own_arguments_are_all_there():
     assert set(ours) - set(theirs) == {"port"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
 @pytest.mark.parametrize(("program", "option"), [("adagmm_fusion", "max-rotation-error"), ("adagmm_bench", "workers")])
 def test_a_shell_completes_the_options_of_every_command(program, option, shell):

@@ -70,6 +70,7 @@ def test_a_notebook_is_its_script(tmp_path):
         assert book.cells[0].source.startswith("# ")
 
 
+@pytest.mark.slow
 def test_the_readmes_snippet_runs_and_is_the_same_everywhere(tmp_path):
     snippets = {
         re.search(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL)[1]
@@ -123,6 +124,7 @@ def test_commands_and_options_that_are_shown_exist(page):
             assert option in parser._option_string_actions, f"{program} {' '.join(words)}"
 
 
+@pytest.mark.slow
 def test_the_reference_builds_without_a_warning(tmp_path):
     pytest.importorskip("mkdocs", reason="needs the extra docs")
     pytest.importorskip("mkdocstrings_handlers.python", reason="needs the extra docs")

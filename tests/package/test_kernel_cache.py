@@ -129,6 +129,7 @@ def test_kernels_compiled_ahead_are_found_where_nothing_can_be_written(nowhere, 
     assert len(kernels_said(done)) == 1 and "compiling" not in done.stderr, done.stderr
 
 
+@pytest.mark.slow
 def test_warming_up_leaves_nothing_to_compile():
     done = subprocess.run([sys.executable, "-c", LEFT], capture_output=True, text=True, check=True)
     count, left = done.stdout.split(maxsplit=1)

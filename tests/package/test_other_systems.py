@@ -54,6 +54,7 @@ sys.exit(adagmm_fusion.cli.main({arguments!r}))
 """
 
 
+@pytest.mark.slow
 def test_posix_is_imported_and_called_behind_a_question_only():
     for path in [*(ROOT / "adagmm_o3d").rglob("*.py"), *(ROOT / "apps").rglob("*.py")]:
         source = path.read_text()

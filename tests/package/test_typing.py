@@ -75,6 +75,7 @@ def test_wrong_arguments_are_errors(checked):
     assert wrong == WRONG
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("pyright") is None, reason="needs pyright")
 def test_pyright_agrees(tmp_path):
     (tmp_path / "bad.py").write_text(BAD)

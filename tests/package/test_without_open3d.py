@@ -55,6 +55,7 @@ def run(code):
     return subprocess.run([sys.executable, "-c", BLOCKED + code], capture_output=True, text=True)
 
 
+@pytest.mark.slow
 def test_arrays_are_registered():
     done = run(ARRAYS)
     assert done.returncode == 0, done.stderr

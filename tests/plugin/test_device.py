@@ -95,6 +95,7 @@ def test_a_tensor_is_read_where_it_lies(dtype):
     assert described["data"] == (tensor.numpy().ctypes.data, False)
 
 
+@pytest.mark.slow
 def test_a_registration_on_the_cpu_imports_nothing_of_cuda():
     script = (
         "import sys, numpy as np, adagmm_o3d\n"

@@ -14,6 +14,7 @@ def assert_same(transformation, expected):
     np.testing.assert_allclose(transformation, expected, rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [

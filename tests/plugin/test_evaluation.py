@@ -56,6 +56,7 @@ def as_open3d(points):
 # Against a known pose
 
 
+@pytest.mark.slow
 @dimensions
 @given(seed=seeds, exponent=st.floats(-9.0, 0.0), near=st.sampled_from(["0", "180"]))
 def test_rotation_error_is_the_angle_also_near_0_and_180_degrees(dimension, seed, exponent, near):

@@ -119,6 +119,7 @@ def test_normals_are_found_between_rings(n_rings):
     assert np.median(surface[road]) < 1.0 and np.median(surface) < 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("distance", "angle_deg"), [(0.1, 1.0), (0.5, 2.0), (1.0, 5.0), (2.0, 10.0)])
 def test_rings_are_not_registered_to_each_other(distance, angle_deg):
     for seed in range(2):
@@ -128,6 +129,7 @@ def test_rings_are_not_registered_to_each_other(distance, angle_deg):
         assert errors.rotation_deg < 0.03 and errors.translation < 0.015
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("distance", "angle_deg"), [(0.1, 1.0), (0.5, 2.0), (2.0, 10.0)])
 def test_clouds_without_covariances_need_no_sensor_model(distance, angle_deg):
     for seed in range(2):
@@ -147,6 +149,7 @@ def test_a_point_far_out_leaves_the_planes_of_the_others(far):
     assert np.median(normal_errors_deg(with_it, scan.normals)) < 1.75 * np.median(alone)
 
 
+@pytest.mark.slow
 def test_the_steps_of_a_drive_do_not_add_up_to_a_drift():
     poses, street = drive(25), Street(0)
     errors = []

@@ -145,6 +145,7 @@ def test_true_errors_are_as_large_as_the_covariance_says(dimension, mutuality):
     assert 0.6 * size < np.mean(squares) < 1.4 * size
 
 
+@pytest.mark.slow
 def test_errors_that_neighbours_share_count():
     """A sensor whose errors are those of whole patches: their pull on the pose does not average out point by point."""
     squares, by_points = [], []

@@ -74,6 +74,7 @@ def by_clouds(source, target):
 DOORS = [("arrays", np.asarray, by_arrays), ("legacy", legacy, by_clouds), ("tensor", tensor, by_clouds)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("make", "register"), [door[1:] for door in DOORS], ids=[door[0] for door in DOORS])
 def test_a_prepared_cloud_changes_no_bit(make, register):
     first, second, target = (make(points) for points in parts())
@@ -201,6 +202,7 @@ def test_the_door_of_a_prepared_cloud_has_to_fit():
         by_clouds(legacy(source), prepare(tensor(target)))
 
 
+@pytest.mark.slow
 def test_a_batch_is_each_pair_by_itself():
     first, second, target = parts()
     clouds = [legacy(points) for points in (first, second, target)]

@@ -77,6 +77,7 @@ def test_moving_both_clouds_moves_the_answer(p, seed, angle):
     assert_same(np.linalg.inv(G) @ moved @ G, p.answer, SETTLED)
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(problems, st.sampled_from([None, 0.0, 0.5]))
 def test_swapping_the_clouds_inverts_the_answer(p, mutuality):

@@ -261,6 +261,7 @@ def test_figure2_scales_the_source_alone_and_the_nearest_rule_both(problem):
     assert sigma == pytest.approx(reference.sigma_nearest(p.y, p.x), rel=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_em_iterations_find_a_small_motion(dimension):
     rng = np.random.default_rng(11)

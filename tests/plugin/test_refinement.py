@@ -51,6 +51,7 @@ def count_met(source, target, pose, sigma, probes=100):
     return float((squares < 2.0 * np.log(2.0) * 24.0 * variances).sum(axis=1).mean())
 
 
+@pytest.mark.slow
 def test_dense_clouds_are_registered_by_their_cells(dense, monkeypatch):
     sizes = []
     make_pair_loop = refinement.make_pair_loop

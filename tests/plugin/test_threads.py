@@ -98,6 +98,7 @@ def test_threads_at_once_get_the_bits_of_one_alone(rule):
     assert together == alone * 3
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_a_child_forked_after_use_gets_the_same_bits():
     out = run(
@@ -123,6 +124,7 @@ def test_a_child_forked_after_use_gets_the_same_bits():
     assert out.split() == ["same", "same"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_a_pool_of_forked_workers_gets_the_same_bits():
     out = run(
@@ -151,6 +153,7 @@ def test_a_pool_of_spawned_workers_gets_the_same_bits(tmp_path):
     assert out.split() == ["True"]
 
 
+@pytest.mark.slow
 def test_a_child_forked_before_first_use_keeps_its_threads():
     out = run(
         """

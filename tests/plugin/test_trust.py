@@ -150,6 +150,7 @@ def outline_of_another_size(rng, trial):
     return noisy(rng, shape(rng, n, 2)), 1.05 * move(noisy(rng, shape(rng, n, 2)), T), None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "trials", "silent", "alarms"),
     [

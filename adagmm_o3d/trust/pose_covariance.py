@@ -12,8 +12,8 @@ is left is an error of its own, which among many points is the larger one.
 It covers what is independent from block to block, and nothing else: neither an error that all points of a sensor share,
 nor that EM may have ended in a wrong optimum. How honest it is, `adagmm-bench covariance` measures: the normalised
 error squared should be 6 on average, in 2D 3; over 550 trials of the simulations it is 5.4 (4.6 to 5.7 in each sweep),
-over 546 in 2D 3.4. On twenty Kinect scenes with the isotropic covariances of Eq. 6 its median is 150: the deviations are
-a fifth of the errors, of which the ground truth has its part.
+over 546 in 2D 3.4. On twenty Kinect scenes with the isotropic covariances of Eq. 6 its median is 150: the deviations
+are a fifth of the errors, of which the ground truth has its part.
 
 Source
 ------

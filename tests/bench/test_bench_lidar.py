@@ -5,7 +5,16 @@ import math
 import numpy as np
 import pytest
 
-from adagmm_bench.pairs.lidar import LIDAR, SCANS, DrivenScans, SimulatedScans, Thinning, find_lidar_pairs, lidar_tables
+from adagmm_bench.pairs.lidar import (
+    LIDAR,
+    SCANS,
+    SENSORS,
+    DrivenScans,
+    SimulatedScans,
+    Thinning,
+    find_lidar_pairs,
+    lidar_tables,
+)
 from adagmm_bench.pairs.lidar_scene import drive
 from adagmm_bench.pairs.sections import SECTIONS, methods_for
 from adagmm_bench.pairs.tables import short_name
@@ -18,7 +27,9 @@ def points_of(cloud):
     return np.asarray(cloud.points)
 
 
-@pytest.mark.parametrize("pair", [SimulatedScans(0, 0), DrivenScans(3, 0)])
+@pytest.mark.parametrize(
+    "pair", [SimulatedScans(0, 0), SimulatedScans(0, 0, "simulated, 64 wide beams"), DrivenScans(3, 0)]
+)
 def test_the_truth_puts_one_scan_on_the_other(pair):
     clouds = pair.load()
     assert clouds.unit == 1.0 and len(clouds.source.points) > 20_000
@@ -55,7 +66,7 @@ def test_scans_are_for_those_that_are_set_for_them():
 
 def test_what_is_missing_is_said(tmp_path):
     pairs, skipped = find_lidar_pairs(tmp_path, trials=2, seed=0)
-    assert len(pairs) == 2 * 2 + SCANS - 1
+    assert len(pairs) == 2 * (len(SENSORS) + 1) + SCANS - 1
     assert skipped[0].startswith("lidar, recorded: data: expected") and len(skipped) == 3
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from adagmm_bench.pairs.lidar_scene import Street, drive, scan_pair
+from adagmm_bench.pairs.lidar_scene import Lidar, Street, drive, scan_pair
 from adagmm_bench.pairs.problem import PairClouds, PairSource, plain_pair
 from adagmm_bench.pairs.public import PublicPair, find_public_pairs
 from adagmm_o3d.errors import InputError
@@ -21,6 +21,13 @@ RECORDED = ("kitti_small_gicp", "lpm_cloud_1_0")
 VOXEL = 0.25  # m, of the thinned scans
 DISTANCES, ANGLES_DEG = (0.1, 2.0), (0.0, 10.0)  # between two scans: m, and about the vertical
 SCANS = 50
+# What looks at the street: as exact as a beam can be, or as wide as beams are.
+EXACT = "simulated"
+SENSORS = {
+    EXACT: Lidar(),
+    "simulated, 64 wide beams": Lidar(n_rings=64, angular_noise=1e-3),
+    "simulated, 128 wide beams": Lidar(n_rings=128, angular_noise=1e-3),
+}
 FOUND = (1.0, 0.2)  # degrees, m
 
 
@@ -58,25 +65,26 @@ class Thinning:
 
 @dataclass(frozen=True)
 class SimulatedScans:
-    """Two scans of a street, 0.1 to 2 m and up to 10 degrees apart; each trial has a street of its own."""
+    """Two scans of a street by one of SENSORS, 0.1 to 2 m and up to 10 degrees apart; each trial has its own street."""
 
     trial: int
     seed: int
+    sensor: str = EXACT
 
     @property
     def key(self) -> str:
-        return f"simulated scans #{self.trial} seed {self.seed}"
+        return f"{self.sensor} scans #{self.trial} seed {self.seed}"
 
     def content(self) -> str:
         return "made points"
 
     def facts(self) -> dict:
-        return {"section": LIDAR, "group": "simulated", "pair": f"#{self.trial}"}
+        return {"section": LIDAR, "group": self.sensor, "pair": f"#{self.trial}"}
 
     def load(self) -> PairClouds:
         rng = np.random.default_rng([self.seed, self.trial])
         distance, angle = rng.uniform(*DISTANCES), rng.uniform(*ANGLES_DEG)
-        source, target, T = scan_pair(1000 * self.seed + self.trial, distance, angle)
+        source, target, T = scan_pair(1000 * self.seed + self.trial, distance, angle, SENSORS[self.sensor])
         return plain_pair(source, target, T, unit=1.0)
 
 
@@ -119,7 +127,10 @@ def _street(seed: int) -> Street:
 
 
 def find_lidar_pairs(data_folder: Path | None, *, trials: int, seed: int) -> tuple[list[PairSource], list[str]]:
-    """The simulated pairs, the recorded ones with a truth where there are any, and the drive; why some are left out."""
+    """The simulated pairs, the recorded ones with a truth where there are any, and the drive; why some are left out.
+
+    Thinned are those of exact beams alone.
+    """
     pairs: list[PairSource] = []
     skipped: list[str] = []
     try:
@@ -137,7 +148,10 @@ def find_lidar_pairs(data_folder: Path | None, *, trials: int, seed: int) -> tup
             recorded.append(known[name])
     for thinned in (False, True):
         pairs += [Thinning(pair, thinned) for pair in recorded]
-        pairs += [Thinning(SimulatedScans(trial, seed), thinned) for trial in range(trials)]
+        sensors = [EXACT] if thinned else SENSORS
+        pairs += [
+            Thinning(SimulatedScans(trial, seed, sensor), thinned) for sensor in sensors for trial in range(trials)
+        ]
     pairs += [Thinning(DrivenScans(index, seed), False) for index in range(1, SCANS)]
     return pairs, skipped
 

@@ -60,7 +60,14 @@ class Problem:
 problem = lru_cache(maxsize=None)(Problem)
 problems = st.builds(problem, st.integers(0, 9), st.sampled_from([2, 3]), st.booleans())
 seeds = st.integers(0, 1000)
-factors = st.floats(-6.0, 6.0).map(lambda exponent: 10.0**exponent)
+factors = st.one_of(
+    st.integers(-20, 20).map(lambda exponent: 2.0**exponent), st.floats(-6.0, 6.0).map(lambda exponent: 10.0**exponent)
+)
+
+
+def bound(factor):
+    """A power of two rounds nothing, any other factor all in float32 anew."""
+    return 1e-9 if np.frexp(factor)[0] == 0.5 else SETTLED
 
 
 def assert_same(a, b, atol):
@@ -126,7 +133,7 @@ def test_the_order_of_the_points_does_not_matter(p, seed):
 def test_the_unit_of_length_does_not_matter(p, factor):
     scaled = p.register(factor * p.source, factor * p.target)
     scaled[:-1, -1] /= factor
-    assert_same(scaled, p.answer, 1e-9)
+    assert_same(scaled, p.answer, bound(factor))
 
 
 @settings(max_examples=20)
@@ -135,7 +142,7 @@ def test_only_the_relative_size_of_covariances_matters(p, factor):
     scaled = p.register(
         source_covariances=factor * p.source_covariances, target_covariances=factor * p.target_covariances
     )
-    assert_same(scaled, p.answer, 1e-9)
+    assert_same(scaled, p.answer, bound(factor))
 
 
 @settings(max_examples=20)

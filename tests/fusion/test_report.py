@@ -33,6 +33,8 @@ GOOD = PairRecord(
     rotation_error_frobenius=0.0123,
     rotation_error_deg=0.5,
     translation_error_mm=12.25,
+    rotation_deviation_deg=0.151,
+    translation_deviation_mm=20.6,
     overlap=0.81,
     overlap_truth=0.80,
     sigma=2.5e-4,
@@ -80,8 +82,8 @@ def test_markdown_shows_every_pair_and_every_failure():
     lines = text.splitlines()
     rows = [line for line in lines if line.startswith("| ") and "_to_" in line]
     assert [row.split(" | ")[0] for row in rows] == ["| a_to_b", "| b_to_c", "| c_to_d", "| d_to_e"]
-    assert rows[0] == "| a_to_b | 0.0123 | 0.50 | 12.2 | 0.810 | 0.800 | 0.020 | 15.8 | 42 | 0.25 | ok |"
-    assert rows[2].count("–") == 9 and rows[2].endswith("| failed |")
+    assert rows[0] == "| a_to_b | 0.0123 | 0.50 | 12.2 | 0.15° 21 mm | 0.810 | 0.800 | 0.020 | 15.8 | 42 | 0.25 | ok |"
+    assert rows[2].count("–") == 10 and rows[2].endswith("| failed |")
     assert rows[3].endswith("| ok (no ground truth) |")
     assert "- b_to_c: rotation error 9.50° is above 3°" in lines
     assert "- c_to_d: d.png: the image is missing" in lines
@@ -139,6 +141,10 @@ def test_a_record_has_the_numbers_of_its_outcome(outcome):
     assert record.source_points == len(outcome.source_cloud.points)
     np.testing.assert_allclose(record.translation_error_mm, 1000.0 * outcome.evaluation.errors.translation, rtol=1e-12)
     assert record.iterations == outcome.estimate.iterations
+    turned = np.degrees(np.sqrt(np.trace(outcome.estimate.pose_covariance[:3, :3])))
+    assert record.rotation_deviation_deg == pytest.approx(turned, rel=1e-12)
+    # The depths of both cameras may be 1 % off, which at two metres and 40 degrees apart are some centimetres.
+    assert 5.0 < record.translation_deviation_mm < 60.0
     assert json.loads(as_json(report(record)))["pairs"][0]["trustworthy"] == outcome.estimate.trustworthy
 
 

@@ -8,7 +8,8 @@ from rerun.chunk import RrdReader
 from shared_data import ROOT
 
 from adagmm_fusion.cli import main
-from adagmm_fusion.rigs.checking import FrameCheck, judged, pose_sigmas, spread_over
+from adagmm_fusion.pairs.pose_deviations import pose_deviations
+from adagmm_fusion.rigs.checking import FrameCheck, judged, spread_over
 from adagmm_fusion.rigs.rig import Rig, load_rig, save_rig
 from adagmm_o3d import lie
 
@@ -112,14 +113,14 @@ def test_errors_are_one_line(tmp_path, capsys):
         assert err.count("\n") == 1 and message in err
 
 
-def test_sigmas_are_those_of_the_sensors_own_place():
+def test_deviations_are_those_of_the_sensors_own_place():
     rng = np.random.default_rng(0)
     T = lie.se_exp((0.1, 0.5, 0.0, 1.0, 0.0, 2.0))
     root = 0.002 * rng.normal(size=(6, 6))
     draws = [lie.se_exp(root @ rng.normal(size=6)) @ T for _ in range(4000)]
     turned = [np.linalg.norm(lie.so_log(draw[:3, :3] @ T[:3, :3].T)) for draw in draws]
     shifted = [np.linalg.norm(draw[:3, 3] - T[:3, 3]) for draw in draws]
-    rotation_deg, translation_mm = pose_sigmas(root @ root.T, T)
+    rotation_deg, translation_mm = pose_deviations(root @ root.T, T)
     assert rotation_deg == pytest.approx(np.degrees(np.sqrt(np.mean(np.square(turned)))), rel=0.05)
     assert translation_mm == pytest.approx(1000 * np.sqrt(np.mean(np.square(shifted))), rel=0.05)
-    assert pose_sigmas(None, T) == (None, None)
+    assert pose_deviations(None, T) == (None, None)

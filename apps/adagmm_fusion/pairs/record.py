@@ -9,6 +9,7 @@ import numpy as np
 from adagmm_fusion.pairs.diagnosis import diagnosis
 from adagmm_fusion.pairs.evidence import evidence_of
 from adagmm_fusion.pairs.pipeline import PairOutcome
+from adagmm_fusion.pairs.pose_deviations import pose_deviations
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.pairs.spread import point_variance, spread_mm
 from adagmm_fusion.pairs.stages import Stage, stages_of, worse_than_start
@@ -21,6 +22,8 @@ class PairRecord:
     diagnosis : why it came out so, in one sentence.
     stages : the identity, the start and the end; none of a pair that could not be registered.
     worse_than_start : the end is clearly farther from the ground truth than the start was.
+    rotation_deviation_deg, translation_deviation_mm : standard deviations of the rotation and of where the source
+        camera is, all axes together, by the estimate's covariance.
     initial_rotation_error_deg, initial_translation_error_mm : those of the stage "identity", under their old names.
     overlap : share of source points with a target point within the partner distance; estimated_overlap : the share that
         the registration itself believes to have a partner.    sigma : the result's, in the unit that the covariances
@@ -48,6 +51,8 @@ class PairRecord:
     rotation_error_frobenius: float | None = None
     rotation_error_deg: float | None = None
     translation_error_mm: float | None = None
+    rotation_deviation_deg: float | None = None
+    translation_deviation_mm: float | None = None
     partner_distance_mm: float | None = None
     overlap: float | None = None
     overlap_truth: float | None = None
@@ -98,7 +103,10 @@ def pair_record(outcome: PairOutcome, settings: Settings) -> PairRecord:
     if outcome.source_cloud is not None:
         known |= {"target_points": len(outcome.target_cloud.points), "source_points": len(outcome.source_cloud.points)}
     if (estimate := outcome.estimate) is not None:
+        rotation_deg, translation_mm = pose_deviations(estimate.pose_covariance, estimate.transformation)
         known |= {
+            "rotation_deviation_deg": _number(rotation_deg),
+            "translation_deviation_mm": _number(translation_mm),
             "T_target_source": np.asarray(estimate.transformation).tolist(),
             "started_from": "clouds" if outcome.features is None else "features",
             "feature_inliers": None if outcome.features is None else outcome.features.inliers,

@@ -9,10 +9,11 @@ from adagmm_fusion.clouds.building import clouds_from_pair
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.pairs.fusion import mean_pose
 from adagmm_fusion.pairs.partners import partner_distance
+from adagmm_fusion.pairs.pose_deviations import pose_deviations
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.recordings.frame_sequence import Recording
 from adagmm_fusion.rigs.rig import Rig
-from adagmm_o3d import lie, registration_adaptive_gmm
+from adagmm_o3d import registration_adaptive_gmm
 from adagmm_o3d.errors import AdaGMMError
 from adagmm_o3d.evaluation import pose_errors
 
@@ -156,7 +157,7 @@ def _check_frame(recording: Recording, index: int, T_rig: np.ndarray, settings: 
     if not result.trustworthy:
         return FrameCheck(frame, reason="; ".join(result.warnings))
     T = np.asarray(result.transformation)
-    moved, (sigma_deg, sigma_mm) = pose_errors(T_rig, T), pose_sigmas(result.pose_covariance, T)
+    moved, (sigma_deg, sigma_mm) = pose_errors(T_rig, T), pose_deviations(result.pose_covariance, T)
     return FrameCheck(
         frame,
         moved.rotation_deg,
@@ -165,13 +166,3 @@ def _check_frame(recording: Recording, index: int, T_rig: np.ndarray, settings: 
         rotation_sigma_deg=sigma_deg,
         translation_sigma_mm=sigma_mm,
     )
-
-
-def pose_sigmas(covariance: np.ndarray | None, T: np.ndarray) -> tuple[float | None, float | None]:
-    """Standard deviations of the rotation [deg] and of where the source sensor is [mm], all axes together."""
-    if covariance is None:
-        return None, None
-    # A perturbation (ω, v) on the left moves the sensor's place t by v + ω × t.
-    J = np.hstack((-lie.hat(T[:3, 3]), np.eye(3)))
-    rotation = np.degrees(np.sqrt(np.trace(covariance[:3, :3])))
-    return float(rotation), 1000.0 * float(np.sqrt(np.trace(J @ covariance @ J.T)))

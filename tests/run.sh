@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Runs the tests; see CONTRIBUTING.md.
 #   bash tests/run.sh [pytest arguments]          sets up everything they need in .venv, then runs them all
-#   bash tests/run.sh quick [pytest arguments]    some ten minutes: with what is set up already, all that are not marked slow
+#   bash tests/run.sh quick [pytest arguments]    some five minutes: with what is set up already, all that are not marked slow
 set -euo pipefail
 cd "$(dirname "$0")/.."
 

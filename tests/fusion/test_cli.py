@@ -40,6 +40,7 @@ def finished(tmp_path_factory):
     return folder, command("adagmm_fusion", "run", SHIPPED, "--output", str(folder), "--device", "cpu")
 
 
+@pytest.mark.slow
 def test_a_run_ends_well_and_says_where_its_results_are(finished):
     folder, process = finished
     assert process.returncode == 0, process.stderr
@@ -51,6 +52,7 @@ def test_a_run_ends_well_and_says_where_its_results_are(finished):
         assert str(folder / name) in process.stdout
 
 
+@pytest.mark.slow
 def test_the_results_fit_together(finished):
     folder, _ = finished
     report = content(folder)

@@ -16,7 +16,6 @@ import adagmm_bench.cli
 import adagmm_fusion.cli
 
 EXAMPLES = sorted(path.stem for path in (ROOT / "examples").glob("*.py") if path.stem != "make_notebooks")
-SLOW = {"two_kinects"}  # it calibrates a rig from photos and runs five commands
 # What each example prints last.
 LAST = {
     "register_arrays": r"standard deviation 0\.\d\d degrees",
@@ -37,9 +36,8 @@ def python(code_or_file, folder):
     )
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in EXAMPLES]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EXAMPLES)
 def test_an_example_runs(name, tmp_path):
     done = python(ROOT / "examples" / f"{name}.py", tmp_path)
     assert done.returncode == 0, done.stderr

@@ -63,12 +63,14 @@ def checked(tmp_path_factory):
     return done.stdout, bad
 
 
+@pytest.mark.slow
 def test_a_strict_script_has_no_errors_and_its_results_have_types(checked):
     said = [line for line in checked[0].splitlines() if "typed_script.py" in line]
     assert not [line for line in said if "error:" in line], said
     assert [re.search(r'Revealed type is "(.*)"', line)[1] for line in said if "Revealed" in line] == REVEALED
 
 
+@pytest.mark.slow
 def test_wrong_arguments_are_errors(checked):
     out, bad = checked
     wrong = {int(line.split(":")[1]) for line in out.splitlines() if f"{bad.name}:" in line and "error:" in line}

@@ -50,9 +50,8 @@ def test_every_door_leads_to_the_same_pose(name, dtype):
     assert_same(registration_adaptive_gmm(*tensor, 0.1).transformation.numpy(), expected)
 
 
-@pytest.mark.parametrize(
-    "name", ["kitti_small_gicp", pytest.param("stanford_bunny_bun045_bun000", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["kitti_small_gicp", "stanford_bunny_bun045_bun000"])
 def test_dense_clouds_are_the_same_by_every_door(name):
     data = np.load(shared_data("cloud_pairs", f"{name}.npz"))
     points = [data[which] for which in ("source", "target")]

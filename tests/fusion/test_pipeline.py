@@ -46,6 +46,17 @@ def test_the_shipped_pair_is_registered(outcome, pair):
     np.testing.assert_allclose(errors.rotation_frobenius, np.linalg.norm(np.eye(3) - relative), rtol=1e-9, atol=1e-12)
 
 
+def test_depths_of_one_camera_are_off_alike(outcome, pair):
+    source = replace(pair.source, sensor=pair.target.sensor)
+    alone = register_pair(RGBDPair(pair.name, source, pair.target, pair.T_target_source, 0), FEW_POINTS)
+    effects = outcome.depth_effects
+    np.testing.assert_array_equal(alone.depth_effects, effects)
+    both = effects[:, :2] + effects[:, 2:]
+    noise = outcome.estimate.pose_covariance - effects @ effects.T
+    np.testing.assert_allclose(alone.estimate.pose_covariance, noise + both @ both.T, rtol=0, atol=1e-12)
+    assert np.trace(both @ both.T) < 0.7 * np.trace(effects @ effects.T)
+
+
 def test_an_outcome_says_where_it_came_from(outcome, pair):
     initial = outcome.evaluation.initial_errors
     np.testing.assert_allclose(initial.translation, np.linalg.norm(pair.T_target_source[:3, 3]), rtol=1e-12)

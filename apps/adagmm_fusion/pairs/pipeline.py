@@ -61,7 +61,7 @@ class PairOutcome:
     estimate : the registration, with the pose refined by all that both frames measure, see `pairs.refinement`.
     agreeing_features : how many matched features agree with that pose.
     depth_effects : (6, 4) what a standard deviation of the source's and of the target's depth scale and shift do to the
-        pose; the estimate's covariance has them, pairs of the same cameras share them.
+        pose; the estimate's covariance has them, those of one camera together; pairs of the same cameras share them.
     seconds_clouds, seconds_features, seconds_registration : wall time of each step.
     """
 

@@ -74,7 +74,9 @@ def refine_pair(
     proposed = [registered.transformation, *(start.T_target_source for start in seen.starts)]
     winner = compete(Measurements(surfaces, features), proposed)
     effects = winner.joint.depth_effects(np.asarray(target.points))
-    return RefinedPair(_concluded(registered, winner, source, target, effects), winner.agreeing, effects)
+    # One camera is off alike in both frames.
+    together = effects[:, :2] + effects[:, 2:] if pair.source.sensor == pair.target.sensor else effects
+    return RefinedPair(_concluded(registered, winner, source, target, together), winner.agreeing, effects)
 
 
 def _concluded(
@@ -84,7 +86,7 @@ def _concluded(
     target: o3d.geometry.PointCloud,
     depth_effects: np.ndarray,
 ) -> PointRegistrationResult:
-    """The registration's result at the winner's pose.
+    """The registration's result at the winner's pose; `depth_effects` (6, k) add to its covariance.
 
     What the registration says against its own pose counts where it is still that pose, and where no colour speaks for
     it: many features agree on no pose by chance, and hold what the shape leaves free.

@@ -22,7 +22,7 @@ from adagmm_fusion.pairs.fusion import RigEstimate, fused_cloud, fused_mesh, sav
 from adagmm_fusion.pairs.pipeline import PairOutcome, compile_kernels, run_pairs
 from adagmm_fusion.pairs.plausibility import recording_warnings
 from adagmm_fusion.pairs.record import PairRecord, pair_record
-from adagmm_fusion.pairs.report import SCHEMA, Report, terminal_table, write_report
+from adagmm_fusion.pairs.report import FULL_WIDTH, SCHEMA, Report, terminal_table, write_report
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.processes.interruption import exit_code
 from adagmm_fusion.processes.terminal import printable
@@ -44,7 +44,6 @@ from adagmm_fusion.rigs.rig import save_rig
 from adagmm_o3d.errors import InputError
 
 MAX_DIGITS = 100  # of a range of pairs
-TABLE_WIDTH = 165  # of the table where the output is no terminal
 # The summary is logged again when there are so many times more pairs: a file keeps all of them.
 SUMMARY_GROWTH = 1.1
 # Exit codes. 1 is an error, 2 wrong usage, and 3 and 4 are `verify`'s.
@@ -263,7 +262,7 @@ def _viewer(args: argparse.Namespace, recording: Recording, settings: Settings, 
 def _print(report: Report, folder: Path, paths: tuple[Path, Path], *, to_stderr: bool) -> None:
     console = Console(stderr=to_stderr, highlight=False, soft_wrap=True)
     if not console.is_terminal:
-        console = Console(stderr=to_stderr, highlight=False, soft_wrap=True, width=TABLE_WIDTH)
+        console = Console(stderr=to_stderr, highlight=False, soft_wrap=True, width=FULL_WIDTH)
     console.print(terminal_table(report, console.width))
     for note in report.notes:
         console.print(f"note: {one_line(note)}", style="yellow", markup=False)

@@ -12,22 +12,26 @@ from adagmm_o3d import lie
 
 
 def run_covariance_trial(job: TrialJob[ProblemSource]) -> dict:
-    """Register by one of our variants, judge, and compare.
-
-    The record has `nees`, the normalised error squared δᵀ C⁻¹ δ with exp(δ)·T the truth: on average the number of
-    directions of a pose if the covariance C is honest. None where there is no covariance.
-    """
+    """Register by one of our variants, judge, and compare; the record has `nees`, see `normalised_error`."""
     problem = job.problem.load()
     prepared = prepare(problem, job.start)
     result = register(job.method, prepared.source, prepared.target)
-    T, covariance, nees = result.transformation, result.pose_covariance, None
-    if covariance is not None:
-        error = lie.se_log(prepared.prepared_pose(problem.T_target_source) @ lie.se_inverse(T))
-        nees = float(error @ np.linalg.solve(covariance, error))
+    T = result.transformation
     return record_of(
         job,
         METHODS[job.method].version(),
-        nees=nees,
+        nees=normalised_error(prepared.prepared_pose(problem.T_target_source), T, result.pose_covariance),
         free=len(result.unobservable),
         **judge(problem, prepared.restore(T), job.problem.partner_distance),
     )
+
+
+def normalised_error(truth: np.ndarray, T: np.ndarray, covariance: np.ndarray | None) -> float | None:
+    """The normalised error squared δᵀ C⁻¹ δ with exp(δ)·T the truth; None where there is no covariance C.
+
+    On average the number of directions of a pose if C is honest.
+    """
+    if covariance is None:
+        return None
+    error = lie.se_log(truth @ lie.se_inverse(T))
+    return float(error @ np.linalg.solve(covariance, error))

@@ -18,6 +18,8 @@ from adagmm_o3d.lie import se_adjoint
 
 # Sums in float32 settle to this when run to the end; a soft direction adds to it.
 SETTLED = 2e-4
+# Where the same clouds are rounded to float32 anew, of 480 registrations the worst was 3.4e-6 off.
+ROUNDED = 2e-5
 # Either direction of a pair is one problem, solved once.
 SWAPPED = 1e-6
 # Flagged outliers move the centroids and with them the start; then they weigh a thousandth, and there are half as many.
@@ -67,7 +69,7 @@ factors = st.one_of(
 
 def bound(factor):
     """A power of two rounds nothing, any other factor all in float32 anew."""
-    return 1e-9 if np.frexp(factor)[0] == 0.5 else SETTLED
+    return 1e-9 if np.frexp(factor)[0] == 0.5 else ROUNDED
 
 
 def assert_same(a, b, atol):

@@ -1,4 +1,4 @@
-"""A process that has imported everything and runs commands in forks of itself, which can be killed soon and often.
+"""A process that has imported all but Rerun and runs commands in forks of itself, which can be killed soon and often.
 
 It keeps to one core and one thread: a fork has no other threads, and must not wait for any. A command that does not
 end is stopped, and what its threads were at is in what it printed.

@@ -3,9 +3,7 @@
 import argparse
 from pathlib import Path
 
-from adagmm_fusion.processes.terminal import printable, say
-
-TABLE_WIDTH = 150  # where the output is no terminal
+from adagmm_fusion.processes.terminal import printable, say, table_console
 
 
 def add(commands: argparse._SubParsersAction) -> None:
@@ -104,8 +102,6 @@ def _from_scene(args: argparse.Namespace) -> int:
 
 
 def _from_board(args: argparse.Namespace) -> int:
-    from rich.console import Console
-
     from adagmm_fusion.board_calibration.boards import Charuco, Chessboard, parse_board_size
     from adagmm_fusion.board_calibration.report import calibration_tables
     from adagmm_fusion.board_calibration.rig_calibration import calibrate_rig
@@ -134,9 +130,7 @@ def _from_board(args: argparse.Namespace) -> int:
         views, board, name=name, folder=folder, coefficients=args.distortion, depth_scale=args.depth_scale
     )
     save_rig(output, result.rig)
-    console = Console(highlight=False, soft_wrap=True)
-    if not console.is_terminal:
-        console = Console(highlight=False, soft_wrap=True, width=TABLE_WIDTH)
+    console = table_console()
     for table in calibration_tables(result, views):
         console.print(table)
     for warning in result.warnings:

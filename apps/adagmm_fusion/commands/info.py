@@ -3,9 +3,7 @@
 import argparse
 
 from adagmm_fusion.commands.recording_arguments import add_recording_arguments, recording_of
-from adagmm_fusion.processes.terminal import printable, say
-
-TABLE_WIDTH = 150  # where the output is no terminal
+from adagmm_fusion.processes.terminal import printable, say, table_console
 
 
 def add(commands: argparse._SubParsersAction) -> None:
@@ -22,8 +20,6 @@ def run(args: argparse.Namespace) -> int:
     ------
     AdaGMMError  if the recording cannot be opened.
     """
-    from rich.console import Console
-
     from adagmm_fusion.commands.progress import progress_bar
     from adagmm_fusion.errors import one_line
     from adagmm_fusion.pairs.plausibility import recording_warnings
@@ -32,9 +28,7 @@ def run(args: argparse.Namespace) -> int:
     recording = recording_of(args)
     with progress_bar(recording.name) as report:
         summary = summarize_recording(recording, on_frame=report)
-    console = Console(highlight=False, soft_wrap=True)
-    if not console.is_terminal:
-        console = Console(highlight=False, soft_wrap=True, width=TABLE_WIDTH)
+    console = table_console()
     for table in summary_tables(summary):
         console.print(table)
     for note in (*recording.notes, *recording_warnings(recording)):

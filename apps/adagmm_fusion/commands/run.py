@@ -9,8 +9,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from adagmm_fusion.commands.progress import progress
 from adagmm_fusion.errors import OutputError, one_line
 from adagmm_fusion.files.atomic_file import check_output_file
@@ -25,7 +23,7 @@ from adagmm_fusion.pairs.record import PairRecord, pair_record
 from adagmm_fusion.pairs.report import FULL_WIDTH, SCHEMA, Report, terminal_table, write_report
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.processes.interruption import exit_code
-from adagmm_fusion.processes.terminal import printable
+from adagmm_fusion.processes.terminal import printable, table_console
 from adagmm_fusion.recordings.frame_sequence import Recording
 from adagmm_fusion.recordings.opening import open_recording
 from adagmm_fusion.rerun_log import (
@@ -260,9 +258,7 @@ def _viewer(args: argparse.Namespace, recording: Recording, settings: Settings, 
 
 
 def _print(report: Report, folder: Path, paths: tuple[Path, Path], *, to_stderr: bool) -> None:
-    console = Console(stderr=to_stderr, highlight=False, soft_wrap=True)
-    if not console.is_terminal:
-        console = Console(stderr=to_stderr, highlight=False, soft_wrap=True, width=FULL_WIDTH)
+    console = table_console(FULL_WIDTH, stderr=to_stderr)
     console.print(terminal_table(report, console.width))
     for note in report.notes:
         console.print(f"note: {one_line(note)}", style="yellow", markup=False)

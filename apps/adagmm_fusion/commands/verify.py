@@ -3,10 +3,9 @@
 import argparse
 from typing import Any
 
-from adagmm_fusion.processes.terminal import printable
+from adagmm_fusion.processes.terminal import printable, table_console
 
 EXIT_CODES = {"unchanged": 0, "moved": 3, "undecided": 4}
-TABLE_WIDTH = 150  # where the output is no terminal
 
 
 def add(commands: argparse._SubParsersAction) -> None:
@@ -51,8 +50,6 @@ def run(args: argparse.Namespace) -> int:
     ------
     AdaGMMError  if rig or recording cannot be used.
     """
-    from rich.console import Console
-
     from adagmm_fusion.commands.progress import progress_bar
     from adagmm_fusion.errors import one_line
     from adagmm_fusion.files.output_folder import check_apart
@@ -83,9 +80,7 @@ def run(args: argparse.Namespace) -> int:
             max_frames=args.frames,
             on_frame=report,
         )
-    console = Console(highlight=False, soft_wrap=True)
-    if not console.is_terminal:
-        console = Console(highlight=False, soft_wrap=True, width=TABLE_WIDTH)
+    console = table_console()
     for check in checks:
         console.print(_table(check))
         console.print(printable(_sentence(check)), markup=False)

@@ -71,22 +71,17 @@ class JointPose:
 
         In a direction that nothing holds the standard deviation is one radius of the points. Without `depth_effects`.
         """
-        outward, held, directions = self._motions(points)
-        free = held < FREE_DEVIATION**-2
-        variances = np.where(free, 1.0, 1.0 / np.where(free, 1.0, held))
+        outward, variances, free, directions = self._motions(points)
         return PoseUncertainty((outward * variances) @ outward.T, tuple(directions[:, free].T))
 
     def depth_effects(self, points: np.ndarray) -> np.ndarray:
         """(6, 4) what the errors that all depths of a camera share do to the pose, see `depth_errors.pose_effects`."""
-        outward, held, _ = self._motions(points)
-        free = held < FREE_DEVIATION**-2
-        return pose_effects(
-            (outward * np.where(free, 0.0, 1.0 / np.where(free, 1.0, held))) @ outward.T, self.depth_pull
-        )
+        outward, variances, free, _ = self._motions(points)
+        return pose_effects((outward * np.where(free, 0.0, variances)) @ outward.T, self.depth_pull)
 
-    def _motions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Independent motions (6, 6), how well each is held (6,), and the same in turns about the points' centre and
-        shifts in radii (6, 6)."""
+    def _motions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Independent motions (6, 6), the variance of each (6,), which of them nothing holds (6,), and the same motions
+        in turns about the points' centre and shifts in radii (6, 6)."""
         centre = points.mean(axis=0)
         radius = float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean()))
         # From turns about the centre and shifts in radii to turns about the origin and shifts in metres.
@@ -94,7 +89,8 @@ class JointPose:
         change[3:, :3] = hat(centre)
         change[3:, 3:] *= radius
         held, directions = np.linalg.eigh(change.T @ self.information @ change)
-        return change @ directions, held, directions
+        free = held < FREE_DEVIATION**-2
+        return change @ directions, np.where(free, 1.0, 1.0 / np.where(free, 1.0, held)), free, directions
 
 
 def refine(measurements: Measurements, start: np.ndarray, most: int) -> JointPose:

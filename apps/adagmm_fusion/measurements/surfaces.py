@@ -50,13 +50,13 @@ class _Partners:
     """Pixels of one image and what the other sees in their place, all in the frame of the other.
 
     points, planes (n, 3), normals (n, 3) of the planes, cosines (n,) between the normals, variances (n,).
-    points_by_depth, planes_by_depth : (n, 3, 2) see `depth_errors.by_depth`.
+    place : (3,) of the camera that measured the points.   depths : (n,) of these.
     """
 
     points: np.ndarray
     planes: np.ndarray
-    points_by_depth: np.ndarray
-    planes_by_depth: np.ndarray
+    place: np.ndarray
+    depths: np.ndarray
     normals: np.ndarray
     cosines: np.ndarray
     variances: np.ndarray
@@ -104,8 +104,9 @@ class SurfaceMeasurements:
             values.append(off[alike] / deviations)
             jacobians.append(sign * np.hstack([turns, shifts]) / deviations[:, None])
             across = partners.normals[alike] / deviations[:, None]
-            of_points = np.einsum("ni,nij->nj", across, partners.points_by_depth[alike])
-            of_planes = -np.einsum("ni,nij->nj", across, partners.planes_by_depth[alike])
+            seen, there = partners.points[alike] - partners.place, partners.planes[alike]
+            of_points = np.einsum("ni,nij->nj", across, by_depth(seen, partners.depths[alike]))
+            of_planes = -np.einsum("ni,nij->nj", across, by_depth(there, there[:, 2]))
             depth_derivatives.append(np.hstack([of_planes, of_points] if backwards else [of_points, of_planes]))
             places.append(planes)
         return Residuals(
@@ -153,12 +154,12 @@ def _partners(own: _Side, other: _Side, T_other_own: np.ndarray, most: int) -> _
     index, points, columns, rows = index[inside], points[inside], columns[inside].astype(int), rows[inside].astype(int)
     known = other.grid.known[rows, columns]
     index, points, columns, rows = index[known], points[known], columns[known], rows[known]
-    normals, planes = other.grid.normals[rows, columns], other.grid.points[rows, columns]
+    normals = other.grid.normals[rows, columns]
     return _Partners(
         points,
-        planes,
-        by_depth(points - t, own.grid.points.reshape(-1, 3)[index, 2]),
-        by_depth(planes, planes[:, 2]),
+        other.grid.points[rows, columns],
+        t,
+        own.grid.points.reshape(-1, 3)[index, 2],
         normals,
         np.einsum("ni,ni->n", normals, own.grid.normals.reshape(-1, 3)[index] @ R.T),
         own.variances.ravel()[index] + other.variances[rows, columns],

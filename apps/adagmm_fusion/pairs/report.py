@@ -210,7 +210,7 @@ def _row(record: PairRecord) -> list[str]:
         _cell(record.rotation_error_frobenius, ".4f"),
         _cell(record.rotation_error_deg, ".2f"),
         _cell(record.translation_error_mm, ".1f"),
-        _deviations(record),
+        _motion(record.rotation_deviation_deg, record.translation_deviation_mm),
         _cell(record.overlap, ".3f"),
         _cell(record.overlap_truth, ".3f"),
         _cell(record.contradicted, ".3f"),
@@ -243,17 +243,12 @@ def _stage_row(record: PairRecord) -> str:
 
 
 def _errors(stage: Stage | None) -> str:
+    return "–" if stage is None else _motion(stage.rotation_error_deg, stage.translation_error_mm)
+
+
+def _motion(rotation_deg: float | None, translation_mm: float | None) -> str:
     """As in "1.05° 22 mm"."""
-    if stage is None or stage.rotation_error_deg is None or stage.translation_error_mm is None:
-        return "–"
-    return f"{stage.rotation_error_deg:.2f}° {stage.translation_error_mm:.0f} mm"
-
-
-def _deviations(record: PairRecord) -> str:
-    """As in "0.15° 21 mm"."""
-    if record.rotation_deviation_deg is None or record.translation_deviation_mm is None:
-        return "–"
-    return f"{record.rotation_deviation_deg:.2f}° {record.translation_deviation_mm:.0f} mm"
+    return "–" if rotation_deg is None or translation_mm is None else f"{rotation_deg:.2f}° {translation_mm:.0f} mm"
 
 
 def _cell(value: float | None, form: str) -> str:

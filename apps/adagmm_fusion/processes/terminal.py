@@ -9,7 +9,10 @@ import errno
 import os
 import sys
 from collections.abc import Callable, Iterator
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 # What our tables and sentences are written with, in plain letters for encodings that lack it.
 PLAIN = {
@@ -30,6 +33,8 @@ PLAIN = {
     "ᵀ": "^T",
 }
 ERRORS = "adagmm_plain"
+# Of tables where the output is no terminal.
+TABLE_WIDTH = 150
 # What writing to a terminal, pipe or file that is full or gone ends with.
 LOST_OUTPUT = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EPIPE, errno.EBADF)
 NO_MORE_FILES = (errno.EMFILE, errno.ENFILE)
@@ -38,6 +43,14 @@ NO_MORE_FILES = (errno.EMFILE, errno.ENFILE)
 def printable(text: object) -> str:
     """A name as it can be printed in a line: what would move a terminal's cursor, or end the line, is escaped."""
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(text))
+
+
+def table_console(width: int = TABLE_WIDTH, *, stderr: bool = False) -> "Console":
+    """Where tables are printed: as wide as the terminal, or as `width` where the output is none."""
+    from rich.console import Console
+
+    console = Console(stderr=stderr, highlight=False, soft_wrap=True)
+    return console if console.is_terminal else Console(stderr=stderr, highlight=False, soft_wrap=True, width=width)
 
 
 def printing(program: str, command: Callable[[], int]) -> int:

@@ -20,6 +20,7 @@ from adagmm_o3d.search.levels import Levels
 from adagmm_o3d.search.rotations import APART_AMBIGUOUS, search_globally
 from adagmm_o3d.search.schedule import SAME_START
 from adagmm_o3d.trust.judge import Judge
+from adagmm_o3d.trust.rivals import SIGMA, refined
 
 # Evidence above which a pose stands by itself [nats per point, both clouds together], see `judge.Judge.evidence`.
 ESTABLISHED = 0.4
@@ -102,9 +103,9 @@ def find(
         return Found(ends[0], is_ambiguous([(end, end.log_likelihood) for end in ends], AMBIGUOUS_LIKELIHOOD))
     near = _judged(judge(), nearby)
     if given is not None and near and max(value for _, value in near) >= KNOWN_AGAIN * judge().reference:
-        return _chosen(near, [], judge().sigma)
+        return _chosen(judge(), near, [])
     if certain:
-        return _chosen(near, pool, judge().sigma)
+        return _chosen(judge(), near, pool)
     proposals = _apart(feature_poses(levels.source, levels.target), levels.schedule.proposed.apart)
     most = levels.schedule.proposed.kept
     pool += _judged(judge(), _proposed(levels, proposals[:most]))
@@ -114,7 +115,7 @@ def find(
         if viewpoints[0] is not None and viewpoints[1] is not None:
             more += _starts_in_place(levels, viewpoints[0], viewpoints[1])
         pool += _judged(judge(), more)
-    return _chosen(near, pool, judge().sigma)
+    return _chosen(judge(), near, pool)
 
 
 def _most_likely(ends: list[End]) -> End:
@@ -155,8 +156,8 @@ def _judged(judge: Judge, ends: list[End]) -> list[tuple[End, float]]:
     return list(zip(ends, judge.evidence([end.pose for end in ends]).tolist(), strict=True)) if ends else []
 
 
-def _chosen(near: list[tuple[End, float]], pool: list[tuple[End, float]], sigma: float) -> Found:
-    """The best of the pool, or the best near the given start where none is clearly better; to go on from `sigma`.
+def _chosen(judge: Judge, near: list[tuple[End, float]], pool: list[tuple[End, float]]) -> Found:
+    """The best of the pool, or the best near the given start where none is clearly better; to go on from the judge's σ.
 
     To stay in the nearest optimum σ was forced down, maybe below the noise, where chance decides who is a partner of
     whom.
@@ -168,14 +169,29 @@ def _chosen(near: list[tuple[End, float]], pool: list[tuple[End, float]], sigma:
         wanted = BETTER if best[1] >= ESTABLISHED or at_start[1] <= 0.0 < best[1] else MUCH_BETTER
         if best[1] < at_start[1] + wanted:
             best = at_start
-    rivals = [item for item in ranked if item is not best]
-    end = best[0]._replace(sigma=max(best[0].sigma, sigma), unmatched=min(best[0].unmatched, FRESH_UNMATCHED))
-    return Found(end, is_ambiguous([best, *rivals], AMBIGUOUS))
+    rivals = _rivals([best, *(item for item in ranked if item is not best)], AMBIGUOUS)
+    end = best[0]._replace(sigma=max(best[0].sigma, judge.sigma), unmatched=min(best[0].unmatched, FRESH_UNMATCHED))
+    return Found(end, _stay_apart(judge, best[0].pose, rivals))
+
+
+def _stay_apart(judge: Judge, pose: Array, rivals: list[Array]) -> bool:
+    """Whether a rival of a pose leads elsewhere, refined as it is: ends of a search may be on the way to one place."""
+    if not rivals:
+        return False
+    own, *ends = refined(judge.sides, [pose, *rivals], 1, SIGMA)
+    return any(min(pose_distance(end, pose), pose_distance(end, own)) > APART_AMBIGUOUS for end in ends)
 
 
 def is_ambiguous(ranked: list[tuple[End, float]], gap: float) -> bool:
     """Whether a clearly different pose explains the clouds as well as the first."""
+    return bool(_rivals(ranked, gap))
+
+
+def _rivals(ranked: list[tuple[End, float]], gap: float) -> list[Array]:
+    """The clearly different poses that explain the clouds as well as the first."""
     best, value = ranked[0]
-    return any(
-        value - other < gap and pose_distance(best.pose, end.pose) > APART_AMBIGUOUS for end, other in ranked[1:]
-    )
+    return [
+        end.pose
+        for end, other in ranked[1:]
+        if value - other < gap and pose_distance(best.pose, end.pose) > APART_AMBIGUOUS
+    ]

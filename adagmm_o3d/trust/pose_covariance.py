@@ -45,6 +45,7 @@ from adagmm_o3d.pairs.protocol import Pairs
 from adagmm_o3d.result import PoseUncertainty
 from adagmm_o3d.trust.copies import are_copies
 from adagmm_o3d.trust.held_by_colour import free_of_colours
+from adagmm_o3d.trust.held_by_detail import free_of_detail
 from adagmm_o3d.trust.observability import free_directions, generalised_eigen
 
 # Of at most this many points of a cloud the scores are worked out; their sums stand for those of all points.
@@ -77,14 +78,14 @@ def pose_uncertainty(pairs: Pairs, source: Mixture, target: Mixture, fit: Fit) -
     """The uncertainty of a pose between normalised mixtures; `pairs` are theirs.
 
     In a direction that the shape and the colours leave free the standard deviation is one radius; see also
-    `observability.free_directions` and `held_by_colour.free_of_colours`.
+    `observability.free_directions`, `held_by_detail.free_of_detail` and `held_by_colour.free_of_colours`.
     """
     scores = score_moments(pairs, source, target, fit)
     if not np.trace(scores.curvature) > 0.0:
         return PoseUncertainty(None, tuple(np.eye(len(scores.curvature))))
     copies = are_copies(source, target, fit.pose)
     free = np.array(() if copies else free_directions(source, fit.pose, scores.matched))
-    free = free.reshape(-1, len(scores.curvature))
+    free = free_of_detail(source, target, fit.pose, free.reshape(-1, len(scores.curvature)))
     if fit.colour is not None:
         free = free_of_colours(source, target, fit.pose, fit.colour, free, scores.matched)
     held = _complement(free)

@@ -25,6 +25,8 @@ SCALE = 1.05
 # A box, and half a sphere on it that alone tells its poses apart; they start about half a turn off.
 FLIP_POINTS, FLIP_EXTENT, FLIP_KNOB, FLIP_AT = 800, (2.0, 1.0, 0.4), 0.3, (0.3, 0.2, 0.5)
 FLIP_OFF_DEG = 5.0
+# Pieces of one room: Open3D's demo fragments are of the red kitchen of 7-Scenes, one of them even the same piece.
+ONE_ROOM = {"o3d_frag_0_4": "3dm_7-scenes-redki_0_5"}
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,9 @@ def room_pools(data_folder: Path | None) -> tuple[dict[str, list[PairSource]], d
     recorded: dict[str, list[PairSource]] = {}
     for pair in find_recorded_pairs(data_folder)[0]:
         recorded.setdefault(pair.recording.name, []).append(pair)
-    rooms: dict[str, list[PairSource]] = {path.stem: [PublicPair(path)] for path in find_rooms(data_folder)}
+    rooms: dict[str, list[PairSource]] = {}
+    for path in find_rooms(data_folder):
+        rooms.setdefault(ONE_ROOM.get(path.stem, path.stem), []).append(PublicPair(path))
     for kind, pool in (("recordings", recorded), ("rooms in cloud_pairs", rooms)):
         if len(pool) < 2:
             raise InputError(f"{data_folder}: expected two or more {kind}, to pair different ones, got {len(pool)}")

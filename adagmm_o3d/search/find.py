@@ -103,9 +103,9 @@ def find(
         return Found(ends[0], is_ambiguous([(end, end.log_likelihood) for end in ends], AMBIGUOUS_LIKELIHOOD))
     near = _judged(judge(), nearby)
     if given is not None and near and max(value for _, value in near) >= KNOWN_AGAIN * judge().reference:
-        return _chosen(judge(), near, [])
+        return _found(judge(), near, [])
     if certain:
-        return _chosen(judge(), near, pool)
+        return _found(judge(), near, pool)
     proposals = _apart(feature_poses(levels.source, levels.target), levels.schedule.proposed.apart)
     most = levels.schedule.proposed.kept
     pool += _judged(judge(), _proposed(levels, proposals[:most]))
@@ -115,7 +115,7 @@ def find(
         if viewpoints[0] is not None and viewpoints[1] is not None:
             more += _starts_in_place(levels, viewpoints[0], viewpoints[1])
         pool += _judged(judge(), more)
-    return _chosen(judge(), near, pool)
+    return _found(judge(), near, pool)
 
 
 def _most_likely(ends: list[End]) -> End:
@@ -156,8 +156,14 @@ def _judged(judge: Judge, ends: list[End]) -> list[tuple[End, float]]:
     return list(zip(ends, judge.evidence([end.pose for end in ends]).tolist(), strict=True)) if ends else []
 
 
-def _chosen(judge: Judge, near: list[tuple[End, float]], pool: list[tuple[End, float]]) -> Found:
-    """The best of the pool, or the best near the given start where none is clearly better; to go on from the judge's σ.
+def _found(judge: Judge, near: list[tuple[End, float]], pool: list[tuple[End, float]]) -> Found:
+    end, rivals = _chosen(near, pool, judge.sigma)
+    return Found(end, _stay_apart(judge, end.pose, rivals))
+
+
+def _chosen(near: list[tuple[End, float]], pool: list[tuple[End, float]], sigma: float) -> tuple[End, list[Array]]:
+    """The best of the pool, or the best near the given start where none is clearly better, to go on from `sigma`; and
+    its rivals.
 
     To stay in the nearest optimum σ was forced down, maybe below the noise, where chance decides who is a partner of
     whom.
@@ -170,15 +176,14 @@ def _chosen(judge: Judge, near: list[tuple[End, float]], pool: list[tuple[End, f
         if best[1] < at_start[1] + wanted:
             best = at_start
     rivals = _rivals([best, *(item for item in ranked if item is not best)], AMBIGUOUS)
-    end = best[0]._replace(sigma=max(best[0].sigma, judge.sigma), unmatched=min(best[0].unmatched, FRESH_UNMATCHED))
-    return Found(end, _stay_apart(judge, best[0].pose, rivals))
+    return best[0]._replace(sigma=max(best[0].sigma, sigma), unmatched=min(best[0].unmatched, FRESH_UNMATCHED)), rivals
 
 
 def _stay_apart(judge: Judge, pose: Array, rivals: list[Array]) -> bool:
     """Whether a rival of a pose leads elsewhere, refined as it is: ends of a search may be on the way to one place."""
     if not rivals:
         return False
-    own, *ends = refined(judge.sides, [pose, *rivals], 1, SIGMA)
+    own, *ends = refined(judge.sides, [pose, *_apart(rivals, SAME_START)], 1, SIGMA)
     return any(min(pose_distance(end, pose), pose_distance(end, own)) > APART_AMBIGUOUS for end in ends)
 
 

@@ -7,7 +7,7 @@ from shared_data import shared_data
 
 from adagmm_bench.models import make_blob
 from adagmm_bench.pairs import made, overlap, trust
-from adagmm_bench.pairs.made import CASES, DIFFERENT_ROOMS, MadePair
+from adagmm_bench.pairs.made import CASES, DIFFERENT_ROOMS, MadePair, room_pools
 from adagmm_bench.pairs.motions import about, rigid, turn, with_moved_source
 from adagmm_bench.pairs.overlap import ANYWHERE, MODELS, NEAR, NEAR_DEG, ROOMS, SHARES, OverlapPair, cut
 from adagmm_bench.pairs.problem import plain_pair
@@ -118,6 +118,11 @@ def test_kinect_scenes_fit_at_their_truth():
     assert np.isfinite(np.asarray(clouds.source.covariances)).all() and clouds.limits == trust.KINECT_FOUND
     source, target = np.asarray(clouds.source.points), np.asarray(clouds.target.points)
     assert overlap_ratio(source, target, clouds.T_target_source, 0.05) > 0.3
+
+
+def test_pieces_of_one_room_are_of_one_room():
+    rooms = room_pools(shared_data("cloud_pairs").parent)[1]
+    assert [len(pool) for pool in rooms.values()] == [2, 1]
 
 
 @pytest.mark.slow

@@ -118,8 +118,20 @@ def test_features_are_asked_unless_the_first_end_is_certain(noise, proposals, mo
 def test_a_start_where_the_clouds_rather_lie_apart_is_left_for_a_pose_where_they_overlap(at_start, elsewhere, left):
     there = se_exp(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
     near, other = (End(pose, 1e-3, 0.5, 0.0, pose, (), 0, True) for pose in (np.eye(4), there))
-    chosen = find._chosen([(near, at_start)], [(other, elsewhere)], 1e-3).end
+    chosen = find._chosen([(near, at_start)], [(other, elsewhere)], 1e-3)[0]
     np.testing.assert_array_equal(chosen.pose, there if left else np.eye(4))
+
+
+def test_ends_on_the_way_to_one_place_are_no_rivals():
+    """Half-way there they explain the clouds about as well, and are clearly different poses."""
+    parts = Parts(5, 0.8, turn=0.2)
+    source, target, normalisation = parts.mixtures()
+    judge = Judge(source, target, Levels(source, target, SCHEDULE).sampled(JUDGED))
+    pose = normalisation.pose_in(parts.T)
+    on_the_way = [se_exp(0.35 * np.eye(6)[axis]) @ pose for axis in (0, 2, 4)]
+    half_a_turn = se_exp(np.array([0.0, 0.0, np.pi, 0.0, 0.0, 0.0])) @ pose
+    assert not find._stay_apart(judge, pose, []) and not find._stay_apart(judge, pose, on_the_way)
+    assert find._stay_apart(judge, pose, [*on_the_way, half_a_turn])
 
 
 def test_of_a_handful_of_points_nothing_is_recognised():

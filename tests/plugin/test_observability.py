@@ -6,6 +6,7 @@ from shapes import bumpy
 
 from adagmm_o3d.mixtures.mixture import make_mixture
 from adagmm_o3d.mixtures.normalisation import normalise
+from adagmm_o3d.trust.held_by_detail import free_of_detail
 from adagmm_o3d.trust.observability import free_directions
 
 FLAG = 1e6
@@ -118,3 +119,56 @@ def test_only_points_that_count_hold_the_pose():
     assert len(free_of(points, matched=of_plane.astype(float))) == 3
     variances = np.where(of_plane, 1.0, FLAG)
     assert len(free_of(points, variances[:, None, None] * np.eye(3))) == 3
+
+
+def with_frames(rng, n, at, depth=0.06):
+    """The corridor with frames that stand out of its walls by `depth` at these places along it."""
+    points = corridor(rng, n)
+    for place in at:
+        on = (np.abs(points[:, 0] - place) < 0.15) & (np.abs(points[:, 1]) == 1.0)
+        points[on, 1] *= 1.0 - depth
+    return points
+
+
+IRREGULAR, EVEN = (-1.7, -0.4, 1.1), np.arange(-2.8, 3.0, 0.6)
+
+
+@pytest.mark.parametrize(
+    "at, off, held",
+    [
+        (IRREGULAR, 0.0, True),
+        # somewhere along the way the frames meet again, or fit better
+        (EVEN, 0.0, False),
+        (IRREGULAR, 0.15, False),
+        (IRREGULAR, -0.3, False),
+        ((), 0.0, False),
+    ],
+)
+def test_frames_hold_a_corridor_where_they_meet(at, off, held):
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        clouds = [with_frames(rng, 4000, at) + 0.01 * rng.normal(size=(4000, 3)) for _ in range(2)]
+        source, target, normalisation = normalise(*(make_mixture("cloud", points, None) for points in clouds))
+        pose = normalisation.pose_in(np.eye(4))
+        pose[0, 3] += off
+        free = np.array(free_directions(source, pose, np.ones(4000)))
+        assert len(free) == 1  # next to nothing of the surfaces holds it
+        np.testing.assert_array_equal(free_of_detail(source, target, pose, free), free[:0] if held else free)
+
+
+@pytest.mark.parametrize("shape", [plane, sphere, tube, circle, line])
+def test_where_there_is_no_detail_what_is_free_stays_free(shape):
+    rng = np.random.default_rng(7)
+    clouds = [shape(rng, 2000) for _ in range(2)]
+    clouds = [points + 0.01 * rng.normal(size=points.shape) for points in clouds]
+    source, target, normalisation = normalise(*(make_mixture("cloud", points, None) for points in clouds))
+    free = np.array(free_directions(source, normalisation.pose_in(np.eye(4)), np.ones(2000)))
+    assert len(free)
+    np.testing.assert_array_equal(free_of_detail(source, target, normalisation.pose_in(np.eye(4)), free), free)
+
+
+def test_so_few_points_have_no_detail():
+    rng = np.random.default_rng(8)
+    sides = normalise(*(make_mixture("cloud", rng.normal(size=(5, 3)), None) for _ in range(2)))[:2]
+    free = unit(6, 3)
+    np.testing.assert_array_equal(free_of_detail(*sides, np.eye(4), free), free)

@@ -10,7 +10,7 @@ pip() { "$python" -m pip install --quiet --disable-pip-version-check "$@"; }
 [ -x "$python" ] || "$oldest" -m venv .venv-minimum
 
 export OMP_WAIT_POLICY=passive
-pip -e ".[open3d-cpu]" pytest pytest-timeout hypothesis --constraint tests/minimum_versions/core.txt
+pip -e ".[open3d-cpu]" pytest pytest-timeout hypothesis scipy --constraint tests/minimum_versions/core.txt
 "$python" -m pytest tests/plugin
 pip -e ".[bench,distributed,open3d-cpu]" pytest pytest-timeout hypothesis coverage evo markdown --constraint tests/minimum_versions/apps.txt
 "$python" -m pytest tests/fusion tests/bench

@@ -1,6 +1,8 @@
 """What the package promises about itself agrees: versions, Pythons, requirements, licence."""
 
+import ast
 import re
+import sys
 import tomllib
 from importlib import metadata
 from pathlib import Path
@@ -60,12 +62,39 @@ def test_the_oldest_versions_are_those_that_the_requirements_name(file, extras):
         if least is not None and name_of(requirement) not in NOT_PINNED:
             oldest.setdefault(name_of(requirement), []).append(least[1])
     if file == "core.txt":
-        oldest |= {"pytest": ["8"], "pytest-timeout": ["2.3"], "hypothesis": ["6.100"]}
+        oldest |= {"pytest": ["8"], "pytest-timeout": ["2.3"], "hypothesis": ["6.100"], "scipy": ["1.13"]}
     pinned = pins(file)
     assert set(oldest) - {"dask"} == set(pinned) - {"dask", "distributed"}
     for name, versions in oldest.items():
         newest_of_the_oldest = max(versions, key=lambda version: [int(part) for part in version.split(".")])
         assert f"{pinned[name]}.".startswith(f"{newest_of_the_oldest}."), name
+
+
+def imports_of(path):
+    """The first names of all that a file imports when it is imported itself."""
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.Import):
+            yield from (alias.name.partition(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            yield node.module.partition(".")[0]
+
+
+def test_the_minimum_environment_of_the_core_has_all_that_its_tests_import():
+    own = {path.stem: path for path in (ROOT / "tests").glob("support/*.py")}
+    left = list((ROOT / "tests" / "plugin").glob("*.py"))
+    known = {path.stem for path in left} | set(sys.stdlib_module_names) | {"adagmm_o3d", "adagmm_bench"}
+    needed = set()
+    while left:
+        for name in set(imports_of(left.pop())) - known:
+            known.add(name)
+            if name in own:
+                left.append(own[name])
+            else:
+                needed.add(name)
+    script = (ROOT / "tests" / "minimum_versions.sh").read_text()
+    installed = re.search(r'pip -e "\.\[open3d-cpu\]" (.+) --constraint', script)[1].split()
+    assert needed >= {"numpy", "pytest"} and needed <= {"numpy", "numba", "open3d", *installed}
+    assert set(installed) <= set(pins("core.txt"))
 
 
 def test_nothing_is_required_that_has_to_be_compiled():

@@ -18,7 +18,11 @@ farther from it.
 """
 
 AVERAGED = 4.0
-"""So many times the points of a smallest cell are in an even one, whose mean a registration goes by."""
+"""So many of the smallest cells are in an even one, and its mean, by which a registration goes, is so much less rough.
+
+The number of points that a cell averages would say more of noise, but sensors bend what they see, too, and no mean gets
+better of it: false alarms on whole depth frames came of that.
+"""
 
 VAGUE = 10.0
 """How much more what is no surface varies: of a pole or a bush each sensor sees the side that faces it."""
@@ -39,8 +43,8 @@ def estimate_surface_covariances(
     A dense cloud, of 10 000 points and more (`grouping.even_edge`), is first thinned to one point in a cell, and each
     point gets the covariance of its cell. The cells grow until the neighbours span a plane, see `planes.find_planes`;
     where they never do, Σ = 10 I. There the variance across is that of the neighbours relative to their smaller one
-    along the surface, over the number of points that an even cell averages, where that is more than `epsilon`: no
-    surface is thinner than its roughness lets anybody know.
+    along the surface, over the four cells that are averaged for a registration, where that is more than `epsilon`: no
+    surface is known better than its roughness allows.
 
     Parameters
     ----------
@@ -133,7 +137,7 @@ def _cell_covariances(points: Array, edge: float, knn: int, thickness: float) ->
     """(N, D, D) of a dense cloud (N, D) with even cells of that edge."""
     cells = cells_of(points, CELLS[0] * edge)
     normals, variances = find_planes(points, cells.means(points), [factor * edge for factor in CELLS], knn)
-    roughness = variances[:, 0] / np.maximum(variances[:, 1], TINY) / (AVERAGED * cells.total)
+    roughness = variances[:, 0] / np.maximum(variances[:, 1], TINY) / AVERAGED
     covariances = _plane_covariances(normals, np.maximum(roughness, thickness))
     covariances[~normals.any(axis=1)] *= VAGUE
     return cells.each(covariances)

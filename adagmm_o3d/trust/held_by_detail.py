@@ -66,8 +66,8 @@ def free_of_detail(source: Mixture, target: Mixture, pose: Array, free: Array) -
         slide = se_exp(twist)
         off, still_known = _off(other, points @ slide[:3, :3].T + slide[:3, 3])
         both = known & still_known
-        means = np.bincount(cells, np.where(both, np.log1p((off / typical) ** 2) - cost, 0.0))
-        means /= np.maximum(np.bincount(cells, both), 1.0)
+        losses = np.where(both, np.log1p((off / typical) ** 2) - cost, 0.0)
+        means = np.bincount(cells, losses) / np.maximum(np.bincount(cells, both), 1.0)
         return float(means.sum() / max(np.sqrt((means**2).sum()), TINY))
 
     def held(motion: Array) -> bool:

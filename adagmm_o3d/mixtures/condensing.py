@@ -28,8 +28,8 @@ SIGMA_FLOOR = 2.5e-4
 # How often the scatter of a cell counts. A uniform one then has a standard deviation of 0.58 edges.
 OVERLAP = 4.0
 # A cell counts for so many points at most; fewer may be one stray point. Where more count, what is near a LiDAR, its
-# rings with it, counts more, and pulls back along the way: by 1 mm a metre with three points, by 2 mm with four.
-FULL = 3.0
+# rings with it, counts more, and pulls back along the way: by 0.7 mm a metre with two points, by 2 mm with four.
+FULL = 2.0
 # The last σ of a dense cloud, in squared edges and times how much more its components vary along their widest axis than
 # all around: surfaces of covariances like those of GICP are then 1.2 edges wide. Below, a LiDAR's rings, which lie
 # farther apart than cells do, would be registered to each other. Others are held apart by the scatter in their cells.

@@ -1,5 +1,6 @@
 """From a pair to a judged outcome: success, failure and what cannot be registered, each said for what it is."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -101,7 +102,7 @@ def test_overlap_is_the_share_of_source_points_with_a_partner(outcome):
 def test_an_error_above_a_limit_is_a_failure(pair, limits, reason):
     failed = register_pair(pair, replace(FEW_POINTS, **limits))
     assert failed.status == "failed"
-    assert pytest.raises(AssertionError, match=reason).matches(AssertionError(failed.reason))
+    assert re.search(reason, failed.reason)
     assert failed.estimate is not None
 
 

@@ -72,6 +72,11 @@ def cells_of(points: Array, edge: float) -> Groups:
     return Groups(cell_numbers(points - points.mean(axis=0), np.full(len(points), edge)), np.ones(len(points)))
 
 
+def block_numbers(points: Array, edge: float) -> NDArray[np.intp]:
+    """(n,) the number, from 0 on, of the cube of that edge that each of (n, D) points lies in."""
+    return np.unique(np.floor(points / edge), axis=0, return_inverse=True)[1].ravel()
+
+
 def cell_numbers(points: Array, edges: Array, kinds: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
     """(n,) numbers of the cells, of edges (n,), that points (n, D) lie in, each kind (n,) of points by itself.
 

@@ -37,6 +37,9 @@ SAME_WAY, FLAT = 0.85, 0.1
 ONE_SIDED = 0.3
 # Of what goes on, halves of a cloud find no less than this to be on each other.
 LEAST_HELD = 0.3
+# What most points are off is a standard deviation of so many times the median of that, and no less than this share of
+# the spacing.
+OF_MEDIAN, LEAST_OFF = 1.4826, 0.02
 
 Mask = NDArray[np.bool_]
 
@@ -78,6 +81,13 @@ class Surface:
         on, at_end = _meeting(first, second, np.eye(4))
         return max(_held(on, at_end), LEAST_HELD)
 
+    def beside(self, points: Array) -> tuple[NDArray[np.intp], Array, Array]:
+        """Of (n, 3) points: which of its own is nearest, its squared distance, and how far off the surface they are."""
+        indices, squares = self.index.query(np.ascontiguousarray(points))
+        nearest = indices[:, 0]
+        off = np.abs(np.einsum("ni,ni->n", points - self.points[nearest], self.normals[nearest]))
+        return nearest, squares[:, 0], off
+
     def reflected(self, reflection: Array) -> Surface:
         """The surface under a (3, 3) reflection, which changes nothing in what is known of it."""
         image = Surface.__new__(Surface)
@@ -106,6 +116,11 @@ def agreement(source: Surface, target: Surface, pose: Array) -> Agreement:
     )
 
 
+def typical_off(off: Array, spacing: float) -> float:
+    """The standard deviation of how far (n,) points are off, of clouds of that spacing."""
+    return max(OF_MEDIAN * float(np.median(np.abs(off))), LEAST_OFF * spacing)
+
+
 def _held(on: Mask, at_end: Mask) -> float:
     return float((on & ~at_end).sum() / max(1, (~at_end).sum()))
 
@@ -121,9 +136,8 @@ def _meets(own: Surface, other: Surface, pose: Array) -> tuple[Mask, Mask]:
     """The same of each point of one cloud, which a pose (4, 4) moves to the other."""
     spacing = max(own.spacing, other.spacing)
     moved, normals = own.points @ pose[:3, :3].T + pose[:3, 3], own.normals @ pose[:3, :3].T
-    indices, squares = other.index.query(moved)
-    nearest, near = indices[:, 0], squares[:, 0] < max(NEAR * spacing, 2.0 * BENT) ** 2
-    off = np.abs(np.einsum("ni,ni->n", moved - other.points[nearest], other.normals[nearest]))
+    nearest, squares, off = other.beside(moved)
+    near = squares < max(NEAR * spacing, 2.0 * BENT) ** 2
     same_way = np.abs(np.einsum("ni,ni->n", normals, other.normals[nearest])) > SAME_WAY
     same_way |= ~(own.flat & other.flat[nearest])
     vague = np.sqrt(0.5 * (own.vague**2 + other.vague[nearest] ** 2))

@@ -12,6 +12,7 @@ import numpy as np
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.m_step import FREE
+from adagmm_o3d.grouping import block_numbers
 from adagmm_o3d.lie import se_exp
 from adagmm_o3d.mixtures.colours import ColourModel
 from adagmm_o3d.mixtures.merging import FLAGGED
@@ -48,7 +49,7 @@ def free_of_colours(
     seen = colour.scaled(source.colours[asked], of_source=True)
     others = colour.scaled(target.colours[among], of_source=False)
     points = source.points_at(asked) @ pose[:3, :3].T + pose[:3, 3]
-    _, cells = np.unique(np.floor(points / CELL), axis=0, return_inverse=True)
+    cells = block_numbers(points, CELL)
 
     reach = max(RADII, SPACINGS * max(spacing_of_whole(mixture) for mixture in (source, target)))
 
@@ -71,8 +72,8 @@ def free_of_colours(
             T = se_exp(step * twist)
             lost = at_pose - support(points @ T[:3, :3].T + T[:3, 3])
             known = np.isfinite(lost)
-            total += np.bincount(cells.ravel()[known], lost[known], len(total))
-            counts += np.bincount(cells.ravel()[known], minlength=len(total))
+            total += np.bincount(cells[known], lost[known], len(total))
+            counts += np.bincount(cells[known], minlength=len(total))
         return total / np.maximum(counts, 1.0)
 
     # The loss is taken for a quadratic form on the free motions: by those of two of them it is known as a whole.

@@ -1,10 +1,10 @@
-"""Whether details hold the motions that the surfaces as a whole leave free: slid along them, no point is on the other's
-surface any more.
+"""Whether details hold the motions that the surfaces as a whole leave free: slid along them, the clouds fit clearly
+worse.
 
 A door frame along a corridor turns few normals, so that next to nothing seems to hold the pose (`observability`), and
 yet it fits in one place alone. Only what is measured at the pose counts: slid away from it, the cloud has to fit
-clearly worse, both ways and however far. So what repeats itself within a radius holds nothing, and at a wrong pose,
-from where some way leads to a better fit, nothing does.
+clearly worse, both ways and all the way, most of a radius. So what repeats itself within that holds nothing, and at a
+wrong pose, from where some way leads to a better fit, nothing does.
 """
 
 from __future__ import annotations
@@ -16,20 +16,18 @@ from numpy.typing import NDArray
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.m_step import FREE
+from adagmm_o3d.grouping import block_numbers
 from adagmm_o3d.lie import se_exp
 from adagmm_o3d.mixtures.merging import FLAGGED
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.sampling import some_of
-from adagmm_o3d.trust.agreement import NEAR, NEIGHBORS, Surface
+from adagmm_o3d.trust.agreement import NEAR, NEIGHBORS, Surface, typical_off
 
 # How far the points are slid, in radii, and the edge of the cells that count once: what is off in one is off as one.
 SLID, CELL = tuple(0.05 * step for step in range(2, 17)), 0.1
 # How many points of either cloud are looked at, and how far from the other a point may be that is compared, in radii
 # and beyond the reach of an agreement.
 ASKED, FARTHER = 4000, 0.1
-# What most points are off at the pose is a standard deviation of so many times the median, and no less than this share
-# of the spacing.
-OF_MEDIAN, LEAST_OFF = 1.4826, 0.02
 # A slide fits worse if its loss is so many standard deviations of what the cells say: of wrong poses, free by the
 # normals, the least of the losses was never above 2.4; of right ones with detail it is 3.3 and more. It may not fall
 # to this share of what it was before: there, what repeats itself begins to fit again.
@@ -52,11 +50,11 @@ def free_of_detail(source: Mixture, target: Mixture, pose: Array, free: Array) -
     if own is None or other is None:
         return free
     points = own.points @ pose[:3, :3].T + pose[:3, 3]
-    cells = np.unique(np.floor(points / CELL), axis=0, return_inverse=True)[1].ravel()
+    cells = block_numbers(points, CELL)
     at_pose, known = _off(other, points)
     if not known.any():
         return free
-    typical = max(OF_MEDIAN * float(np.median(at_pose[known])), LEAST_OFF * max(own.spacing, other.spacing))
+    typical = typical_off(at_pose[known], max(own.spacing, other.spacing))
     cost = np.log1p((at_pose / typical) ** 2)
 
     def loss(motion: Array) -> float:
@@ -91,10 +89,8 @@ def _surface_of(mixture: Mixture) -> Surface | None:
 
 def _off(other: Surface, points: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Of (n, 3) points, how far each is off the other's surface, and whether that goes on there."""
-    indices, squares = other.index.query(np.ascontiguousarray(points))
-    nearest = indices[:, 0]
-    off = np.abs(np.einsum("ni,ni->n", points - other.points[nearest], other.normals[nearest]))
-    return off, ~other.ends[nearest] & (squares[:, 0] < (NEAR * other.spacing + FARTHER) ** 2)
+    nearest, squares, off = other.beside(points)
+    return off, ~other.ends[nearest] & (squares < (NEAR * other.spacing + FARTHER) ** 2)
 
 
 def _fan(free: Array) -> list[Array]:

@@ -33,6 +33,7 @@ from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.m_step import FREE
 from adagmm_o3d.em.runs import inverse_of
 from adagmm_o3d.em.unmatched import uniform_density
+from adagmm_o3d.grouping import block_numbers
 from adagmm_o3d.kernels.cpu.scores import Hues, Reach, ScoredPoints, score_sums
 from adagmm_o3d.kernels.layout import CURVATURE, POINT_SUMS, SCORE, SENSITIVITY
 from adagmm_o3d.lie import hat, se_adjoint
@@ -280,8 +281,8 @@ def _chosen(own: _Side | _ResidentSide) -> tuple[NDArray[np.intp], float]:
 
 def _block_sums(points: Array, scores: Array) -> Array:
     """(blocks, 6) sums of the (n, 6) scores of the points in each cube of edge BLOCK."""
-    _, block = np.unique(np.floor(points / BLOCK), axis=0, return_inverse=True)
-    return np.stack([np.bincount(block.ravel(), weights=score) for score in scores.T], axis=1)
+    block = block_numbers(points, BLOCK)
+    return np.stack([np.bincount(block, weights=score) for score in scores.T], axis=1)
 
 
 def _score_sums(

@@ -13,16 +13,15 @@ import numpy as np
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.m_step import FREE
+from adagmm_o3d.grouping import block_numbers
 from adagmm_o3d.lie import se_exp
 from adagmm_o3d.neighbors import NeighborIndex
-from adagmm_o3d.trust.agreement import SAME_WAY, Surface
+from adagmm_o3d.trust.agreement import SAME_WAY, Surface, typical_off
 
 STEPS = 4
 # Pairs of points nearer than so many spacings, or so many radii where that is more, as on a curve, whose points are
 # closer: within it another size still finds its partners. Those off by so many times what most are off weigh a half.
 REACH, LEAST_REACH, ROBUST = 2.0, 0.08, 2.0
-# A standard deviation is so many times the median of absolute values, and no less than this share of the spacing.
-OF_MEDIAN, LEAST_OFF = 1.4826, 0.02
 # The edge of a block whose errors are one, in radii.
 BLOCK = 0.25
 # Fewer pairs than this share of all points do not tell, nor fewer than so many.
@@ -74,7 +73,7 @@ def estimate_scale(source: Surface, target: Surface, pose: Array, dimension: int
         if near.sum() < max(LEAST_PAIRS, LEAST_SHARE * len(near)):
             return None
         off = (across * axes).sum(axis=1)
-        typical = max(OF_MEDIAN * float(np.median(np.abs(off[near]))), LEAST_OFF * spacing)
+        typical = typical_off(off[near], spacing)
         weights = near / (1.0 + (off / (ROBUST * typical)) ** 2)
         rows = np.concatenate([np.cross(at, axes), axes, (at * axes).sum(axis=1, keepdims=True)], axis=1)[:, free]
         hessian = (rows * weights[:, None]).T @ rows
@@ -86,7 +85,7 @@ def estimate_scale(source: Surface, target: Surface, pose: Array, dimension: int
         normals = normals @ step[:3, :3].T
         logarithm += float(delta[6])
     scores = rows * (weights * (off - rows @ delta[free]))[:, None]
-    block = np.unique(np.floor(at / BLOCK), axis=0, return_inverse=True)[1].ravel()
+    block = block_numbers(at, BLOCK)
     sums = np.stack([np.bincount(block, weights=score) for score in scores.T], axis=1)
     inverse = np.linalg.inv(hessian)
     if weights.sum() * inverse[-1, -1] > LEAST_MOVED**-2.0:

@@ -29,11 +29,14 @@ def warm_up(*, paper_rules: bool = True) -> None:
         result.find_partners()
         result.assess()
         result.weigh()
-    # A surface whose parts share a half only, which features have to tell.
+    # A surface whose parts share a half only, which features have to tell; and what no feature tells, seen from somewhere.
     sphere = points / np.linalg.norm(points, axis=1, keepdims=True) * (1.0, 0.7, 0.4)
     left, right = sphere[sphere[:, 0] < 0.3], sphere[sphere[:, 0] > -0.3]
     covariances = [np.tile(np.diag([1.0, 1.0, 0.5]), (len(part), 1, 1)) for part in (left, right)]
     register_points(left, right[:, ::-1].copy(), *covariances, device="cpu")
+    far = np.full(3, 10.0)
+    other = 0.5 * right[:, ::-1]
+    register_points(left, other, *covariances, device="cpu", source_viewpoint=far, target_viewpoint=far)
     register_points(few, few, init="global", device="cpu")
     for rule in get_args(SigmaRuleName) if paper_rules else ():
         options = TransformationEstimationForAdaptiveGMM(sigma_rule=rule)

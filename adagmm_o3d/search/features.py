@@ -50,13 +50,7 @@ class Thinned(NamedTuple):
 def feature_poses(source: Mixture, target: Mixture) -> list[Array]:
     """Poses (4, 4) between two normalised mixtures in space, most supported first; none where no shape is
     recognised."""
-    edges = [mixture.kept_for("grid edge", partial(_grid_edge, mixture)) for mixture in (source, target)]
-    edge = max(edges)
-    moving, fixed = (
-        # On its own grid a cloud looks the same to every other one.
-        mixture.kept_for("thinned", partial(_thinned, mixture, edge)) if own == edge else _thinned(mixture, edge)
-        for mixture, own in zip((source, target), edges, strict=True)
-    )
+    moving, fixed, edge = thinned_alike(source, target)
     if min(len(moving.points), len(fixed.points)) < FEWEST:
         return []
     i, j = _correspondences(moving.features, fixed.features)
@@ -64,6 +58,18 @@ def feature_poses(source: Mixture, target: Mixture) -> list[Array]:
     support = np.empty((len(p), len(p)), np.int32)
     shared_support(p, q, moving.normals[i], fixed.normals[j], TOLERANCE * edge, TURN, support)
     return _poses(p, q, support, TOLERANCE * edge)
+
+
+def thinned_alike(source: Mixture, target: Mixture) -> tuple[Thinned, Thinned, float]:
+    """Both mixtures on grids of one edge, and that."""
+    edges = [mixture.kept_for("grid edge", partial(_grid_edge, mixture)) for mixture in (source, target)]
+    edge = max(edges)
+    moving, fixed = (
+        # On its own grid a cloud looks the same to every other one.
+        mixture.kept_for("thinned", partial(_thinned, mixture, edge)) if own == edge else _thinned(mixture, edge)
+        for mixture, own in zip((source, target), edges, strict=True)
+    )
+    return moving, fixed, edge
 
 
 def _some_points(mixture: Mixture) -> Array:

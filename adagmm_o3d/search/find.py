@@ -1,7 +1,8 @@
 """Where to start and which end to believe: trusted starts first, then whatever is needed to be sure.
 
 Starts come from where the caller says, from common centroids, from a ring around them, from local features, from a grid
-of rotations and from turning a sensor in place; their ends are candidates of one pool, and one judge compares them.
+of rotations, from turning a sensor in place and from the directions that surfaces face; their ends are candidates of
+one pool, and one judge compares them.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.runs import End, Start, distinct, pose_distance
 from adagmm_o3d.search import starts
 from adagmm_o3d.search.around import first_end, is_tight, search_around
+from adagmm_o3d.search.directions import direction_poses
 from adagmm_o3d.search.features import feature_poses
 from adagmm_o3d.search.levels import Levels
 from adagmm_o3d.search.rotations import APART_AMBIGUOUS, search_globally
@@ -37,6 +39,9 @@ KNOWN_AGAIN, PLAUSIBLE = 0.5, 0.1
 # A first end that explains the clouds so many times as well as the halves of one cloud explain each other is right:
 # nothing that features propose does better. Round and regular bodies, of which another pose may, do not come to this.
 CERTAIN = 2.0
+# Below so much of that, surfaces that face alike are laid on each other as well. Walls and floors do that in many wrong
+# ways, which free space tells from the right one: without viewpoints more pairs of rooms are lost by it than won.
+SETTLED = 0.5
 # Where the first few proposals of features establish no pose, so many times as many are tried.
 MORE = 4
 # What is assumed of points without a partner where σ begins anew.
@@ -106,8 +111,8 @@ def find(
         return _found(judge(), near, [])
     if certain:
         return _found(judge(), near, pool)
-    proposals = _apart(feature_poses(levels.source, levels.target), levels.schedule.proposed.apart)
-    most = levels.schedule.proposed.kept
+    most, apart_by = levels.schedule.proposed.kept, levels.schedule.proposed.apart
+    proposals = _apart(feature_poses(levels.source, levels.target), apart_by)
     pool += _judged(judge(), _proposed(levels, proposals[:most]))
     if not pool or max(value for _, value in [*near, *pool]) < ESTABLISHED:
         more = _proposed(levels, proposals[most : MORE * most])
@@ -115,6 +120,10 @@ def find(
         if viewpoints[0] is not None and viewpoints[1] is not None:
             more += _starts_in_place(levels, viewpoints[0], viewpoints[1])
         pool += _judged(judge(), more)
+    seen_from = all(viewpoint is not None for viewpoint in viewpoints)
+    if seen_from and max(value for _, value in [*near, *pool]) < SETTLED * judge().reference:
+        proposals = _apart(direction_poses(levels.source, levels.target), apart_by)
+        pool += _judged(judge(), _proposed(levels, proposals[:most]))
     return _found(judge(), near, pool)
 
 

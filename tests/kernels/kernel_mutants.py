@@ -22,6 +22,7 @@ NEAREST = ["tests/kernels/test_kernels.py", "-k", "(nearest and not 500-2000) or
 CULLING = ["tests/kernels/test_culling.py", *KERNELS]
 SEARCH = ["tests/kernels/test_em_kernel.py"]
 FEATURES = ["tests/kernels/test_features.py"]
+VOTES = ["tests/kernels/test_votes.py"]
 UPDATE = ["tests/kernels/test_update.py"]
 ACCELERATION = ["tests/kernels/test_acceleration.py"]
 SCORES = ["tests/kernels/test_scores.py"]
@@ -441,6 +442,32 @@ CPU = {
         ("if (compatible[i, j // WORD] >> np.uint64(j % WORD)) & one", "if one"),
         ("support[j, i] = count, count", "support[j, i] = count, 0"),
     ],
+    "cpu/votes.py": [
+        ("last = votes[x, y, 0]", "last = HALF"),
+        ("HALF * (last + votes[x, y, z + 1])", "HALF * (last + votes[x, y, z])"),
+        ("                last = own", "                last = votes[x, y, z]"),
+        ("before[:] = votes[x, 0]", "before[:] = HALF"),
+        ("before[z] + votes[x, y + 1, z]", "before[z] + votes[x, y, z]"),
+        ("before[:] = votes[0, y]", "before[:] = HALF"),
+        ("before[z] + votes[x + 1, y, z]", "before[z] + votes[x, y, z]"),
+        ("range(x - 1, x + 2)", "range(x, x + 2)"),
+        ("range(y - 1, y + 2)", "range(y - 1, y + 1)"),
+        ("range(z - 1, z + 2)", "range(z, z + 2)"),
+        ("first and votes", "votes"),
+        ("(first and votes[a, b, c] == own)", "False"),
+        ("rotations[r, a, b] * source[i, b]", "rotations[r, b, a] * source[i, b]"),
+        ("rotations[r, a, b] * source_normals[i, b]", "rotations[r, b, a] * source_normals[i, b]"),
+        ("moved[:, a].max() - edge", "moved[:, a].max()"),
+        ("abs(alike) >= cosine", "alike >= cosine"),
+        ("+= source[i, 3] * target[j, 3]", "+= target[j, 3]"),
+        ("softened(votes)\n            peaks", "peaks"),
+        ("peaks[r] = -1.0", "peaks[r] = 0.0"),
+        ("count > peaks[r, last, 3] and is_peak", "is_peak"),
+        ("and is_peak(votes, x, y, z)", ""),
+        ("place > 0 and count", "place > 1 and count"),
+        ("low[0] + (x + 0.5) * edge", "low[0] + x * edge"),
+        ("low[2] + (z + 0.5) * edge", "low[2] + (z + 1.0) * edge"),
+    ],
     "cpu/nearest_other.py": [
         ("own = probes[p]", "own = p"),
         ("(0, own), (own + 1,", "(0, own + 1), (own + 1,"),
@@ -540,6 +567,7 @@ TESTS_OF = {
         "cpu/em.py": SEARCH,
         "cpu/features.py": FEATURES,
         "cpu/consistency.py": FEATURES,
+        "cpu/votes.py": VOTES,
         "update.py": UPDATE,
         "cpu/farthest_points.py": SEARCH,
         "cpu/nearest_other.py": [*SEARCH, "-k", "nearest_other"],

@@ -16,12 +16,13 @@ FILES = (
     "kernels/test_acceleration.py",
     "kernels/test_culling.py",
     "kernels/test_scores.py",
+    "kernels/test_votes.py",
     "plugin/test_pose_covariance.py",
 )
 # Fast enough by the interpreter; the others are about speed, threads or large clouds.
 CHOSEN = (
     "(test_kernels and not threads and not 500-2000 and not far_points) or test_em_kernel or test_acceleration"
-    " or test_culling or test_scores or (moments and 0.5-anisotropic)"
+    " or test_culling or test_scores or test_votes or (moments and 0.5-anisotropic)"
 )
 
 

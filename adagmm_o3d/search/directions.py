@@ -1,0 +1,128 @@
+"""Poses proposed by the directions that surfaces face: rooms, streets and machines are made of few planes.
+
+Two clouds of a room that share the floor and a wall agree in what these face, however little else they share and
+wherever they start. So the directions that many points of either cloud face are laid on each other, two on two in every
+way, and for each rotation all shifts are compared at once. What faces a rare direction, a door frame say, tells more of
+a shift than the floor does.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+
+from adagmm_o3d.arguments import Array
+from adagmm_o3d.kernels.cpu.votes import vote_for_shifts
+from adagmm_o3d.mixtures.mixture import Mixture
+from adagmm_o3d.mixtures.sampling import some_of
+from adagmm_o3d.search.features import FEWEST, Thinned, thinned_alike
+
+# Points of either cloud that are asked.
+ASKED = 400
+# Directions are a cloud's where at least this share of its points faces them to within so much; the most of them.
+FACING, WITHIN, DIRECTIONS = 0.02, math.radians(18.0), 4
+# How sharply normals are told apart: two this far apart count e times less for one direction.
+CONCENTRATION = 1.0 / math.sin(math.radians(7.5)) ** 2
+# Means of the normals around a direction, each around the one before.
+MEANS = 3
+# Angles between two directions that are the same, and rotations that are.
+SAME_COSINE, SAME_ROTATION = 0.15, math.radians(12.0)
+# Below this absolute cosine two directions are at right angles, whatever their signs.
+RIGHT_ANGLE = 0.1
+# The edge of a cell of shifts, at least, in radii; the absolute cosine of normals that agree; shifts that are kept of a
+# rotation.
+EDGE, AGREE, SHIFTS = 0.06, math.cos(math.radians(20.0)), 3
+# Cells of shifts, at most.
+CELLS = 1 << 18
+# Of two directions that have no sign.
+SIGNS = tuple(itertools.product((1.0, -1.0), repeat=2))
+
+
+def direction_poses(source: Mixture, target: Mixture) -> list[Array]:
+    """Poses (4, 4) between two normalised mixtures in space, those with most votes first; none where either faces
+    fewer than two directions."""
+    moving, fixed, edge = thinned_alike(source, target)
+    if min(len(moving.points), len(fixed.points)) < FEWEST:
+        return []
+    (points, normals), (others, other_normals) = _some(moving), _some(fixed)
+    own, other = _facing(normals), _facing(other_normals)
+    rotations = _rotations(_directions(normals, own), _directions(other_normals, other))
+    if not len(rotations):
+        return []
+    extents = np.ptp(points @ rotations.transpose(0, 2, 1), axis=1) + np.ptp(others, axis=0)
+    edge = max(edge, EDGE, float(extents.prod(axis=1).max() / CELLS) ** (1.0 / 3.0))
+    peaks = np.empty((len(rotations), SHIFTS, 4))
+    vote_for_shifts(
+        np.column_stack([points, own**-0.5]),
+        normals,
+        np.column_stack([others, other**-0.5]),
+        other_normals,
+        rotations,
+        edge,
+        AGREE,
+        peaks,
+    )
+    found = np.argwhere(peaks[:, :, 3] > 0.0)
+    order = np.argsort(-peaks[found[:, 0], found[:, 1], 3], kind="stable")
+    poses = np.tile(np.eye(4), (len(found), 1, 1))
+    for pose, (rotation, shift) in zip(poses, found[order], strict=True):
+        pose[:3, :3], pose[:3, 3] = rotations[rotation], peaks[rotation, shift, :3]
+    return list(poses)
+
+
+def _some(cloud: Thinned) -> tuple[Array, Array]:
+    """Points and their normals, (k, 3) both."""
+    index = some_of(np.arange(len(cloud.points)), ASKED)
+    return cloud.points[index], cloud.normals[index]
+
+
+def _facing(normals: Array) -> Array:
+    """(n,) how many of (n, 3) unit normals face where each does, of either sign."""
+    return _alike(normals @ normals.T).sum(axis=1)
+
+
+def _alike(cosines: Array) -> Array:
+    return np.exp(CONCENTRATION * (cosines**2 - 1.0))
+
+
+def _directions(normals: Array, facing: Array) -> list[Array]:
+    """Unit vectors (3,) that many of (n, 3) unit normals face, of either sign, those that most face first."""
+    found: list[Array] = []
+    left = np.full(len(normals), True)
+    while len(found) < DIRECTIONS and left.any():
+        direction = normals[int(np.argmax(np.where(left, facing, -1.0)))]
+        for _ in range(MEANS):
+            weights = _alike(normals @ direction) * left
+            direction = np.linalg.eigh((normals * weights[:, None]).T @ normals)[1][:, 2]
+        near = left & (np.abs(normals @ direction) > math.cos(WITHIN))
+        if near.sum() < FACING * len(normals):
+            break
+        found.append(direction)
+        left &= ~near
+    return found
+
+
+def _rotations(own: list[Array], other: list[Array]) -> Array:
+    """(r, 3, 3) rotations that lay two of the own directions on two of the other's, in every way, each once."""
+    laid = []
+    for (a, b), (c, d) in itertools.product(itertools.combinations(own, 2), itertools.permutations(other, 2)):
+        angle, onto = a @ b, c @ d
+        if abs(abs(angle) - abs(onto)) > SAME_COSINE:
+            continue
+        right_angle = min(abs(angle), abs(onto)) < RIGHT_ANGLE
+        for s, t in SIGNS:
+            if right_angle or s * t * angle * onto > 0.0:
+                laid.append(np.outer(s * c, a) + np.outer(t * d, b) + s * t * np.outer(np.cross(c, d), np.cross(a, b)))
+    if not laid:
+        return np.empty((0, 3, 3))
+    left, _, right = np.linalg.svd(np.array(laid))
+    left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
+    rotations = left @ right
+    same = np.einsum("iab,jab->ij", rotations, rotations) > 1.0 + 2.0 * math.cos(SAME_ROTATION)
+    kept: list[int] = []
+    for i in range(len(rotations)):
+        if not same[i, kept].any():
+            kept.append(i)
+    return rotations[kept]

@@ -29,7 +29,7 @@ def warm_up(*, paper_rules: bool = True) -> None:
         result.find_partners()
         result.assess()
         result.weigh()
-    # A surface whose parts share a half only, which features have to tell; and what no feature tells, seen from somewhere.
+    # A surface whose parts share a half only, which features have to tell; and what no feature tells, with viewpoints.
     sphere = points / np.linalg.norm(points, axis=1, keepdims=True) * (1.0, 0.7, 0.4)
     left, right = sphere[sphere[:, 0] < 0.3], sphere[sphere[:, 0] > -0.3]
     covariances = [np.tile(np.diag([1.0, 1.0, 0.5]), (len(part), 1, 1)) for part in (left, right)]

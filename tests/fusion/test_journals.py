@@ -174,7 +174,7 @@ BAD_EDGES = [
     {"information": np.triu(np.ones((6, 6))).tolist()},
     {"reason": 5},
     {"reason": None},
-    {"reason": "with a pose"},
+    {"reason": "with no pose, but", "transformation": None},
     {"loop_closure": "x"},
     {"loop_closure": 1},
 ]

@@ -174,6 +174,7 @@ def _estimated(recording: Recording, scene: Any, settings: Any, folder: Path) ->
 
     from adagmm_fusion.commands.progress import staged_progress_bar
     from adagmm_fusion.sequence.edge_file import EdgeFile
+    from adagmm_fusion.sequence.joining import joined
     from adagmm_fusion.sequence.pose_graph import connected_sets, optimized_poses
     from adagmm_fusion.sequence.registration import register_scene
     from adagmm_fusion.sequence.scene import fixed_voxel_size, placed_edges
@@ -193,13 +194,18 @@ def _estimated(recording: Recording, scene: Any, settings: Any, folder: Path) ->
         if file.edges:
             print(f"resumed: {len(file.edges)} registrations are there")
         register_scene(recording, scene, settings, file, report)
-    edges = placed_edges(scene, file.edges)
+    placed = placed_edges(scene, file.edges)
+    edges = joined(placed, scene.places) if scene.paths else placed
     sets = connected_sets(edges, scene.places)
     poses, dropped = optimized_poses(edges, first=sets[0][0])
-    used = [edge for edge in file.edges if edge.usable]
+    used = [edge for edge in edges[len(scene.rig) :] if edge.usable]
     loops = sum(edge.loop_closure for edge in used)
     registered = f"registered: {len(used)} of {len(file.edges)}"
     print(f"{registered}; may be wrong: {loops}, of which dropped as wrong: {len(dropped)}")
+    if confirmed := len(used) - sum(edge.usable for edge in file.edges):
+        print(
+            f"believed only because several say the same: {confirmed} registrations, which join parts of the recording"
+        )
     if len(sets) > 1:
         print(f"frames that hang together: sets of {', '.join(str(len(s)) for s in sets)}; the first is fused")
     if scene.rig:

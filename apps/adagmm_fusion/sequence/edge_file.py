@@ -1,7 +1,8 @@
 """Finished registrations on disk, one JSON line each, so that an interrupted run goes on where it was.
 
-The first line says of what: {"format": "adagmm-edges", "version": 2, "of": {...}}; every other one is an edge. A last
-line that was cut off is not there. The file is read as if somebody had written it who means no good.
+The first line says of what: {"format": "adagmm-edges", "version": 3, "of": {...}}; every other one is an edge. An edge
+without a pose gives way to a later one between the same frames. A last line that was cut off is not there. The file is
+read as if somebody had written it who means no good.
 """
 
 import os
@@ -18,7 +19,7 @@ from adagmm_fusion.frames.rgbd import checked_rigid_transformation
 from adagmm_fusion.sequence.edges import Edge
 from adagmm_o3d.errors import InputError
 
-FORMAT, VERSION = "adagmm-edges", 2
+FORMAT, VERSION = "adagmm-edges", 3
 # Of an information matrix, as a share of its largest entry: what rounding leaves of symmetry and of no eigenvalue.
 ROUNDING = 1e-9
 
@@ -40,7 +41,6 @@ class EdgeFile:
         lines = self._lines()
         if lines:
             self._check_header(lines[0], of)
-        self.edges: list[Edge] = []
         self._found: dict[tuple[int, int], Edge] = {}
         kept: dict[str, None] = {}
         for number, line in enumerate(lines[1:], 2):
@@ -49,12 +49,17 @@ class EdgeFile:
             kept[line] = None
             try:
                 edge = _edge(unsealed(line), frames)
-                if (edge.source, edge.target) in self._found:
+                known = self.find(edge.source, edge.target)
+                if known is not None and known.transformation is not None:
                     raise ValueError("these frames have an edge already")
             except (ValueError, KeyError, TypeError) as problem:
                 raise self._damaged(number, problem) from problem
             self._keep(edge)
         write_text(self.path, "\n".join([sealed(_header(of)), *kept]) + "\n")
+
+    @property
+    def edges(self) -> list[Edge]:
+        return list(self._found.values())
 
     def find(self, source: int, target: int) -> Edge | None:
         """The edge between two frames, if it was registered."""
@@ -78,7 +83,6 @@ class EdgeFile:
         self._keep(edge)
 
     def _keep(self, edge: Edge) -> None:
-        self.edges.append(edge)
         self._found[edge.source, edge.target] = edge
 
     def _lines(self) -> list[str]:
@@ -120,12 +124,10 @@ def _edge(values: dict[str, Any], frames: int) -> Edge:
             raise ValueError(f"expected frames from 0 to {frames - 1}, got {index!r}")
     if type(loop_closure) is not bool or not isinstance(reason, str):
         raise ValueError("expected loop_closure true or false and reason a text")
-    if reason:
-        if values["transformation"] is not None or values["information"] is not None:
-            raise ValueError("expected no pose where there is a reason against it")
+    if reason and values["transformation"] is None and values["information"] is None:
         return Edge(source, target, None, None, loop_closure, reason)
     T = checked_rigid_transformation(values["transformation"], "transformation")
-    return Edge(source, target, T, _information(values["information"]), loop_closure)
+    return Edge(source, target, T, _information(values["information"]), loop_closure, reason)
 
 
 def _information(values: Any) -> np.ndarray:

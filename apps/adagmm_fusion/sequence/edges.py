@@ -11,12 +11,16 @@ from adagmm_fusion.pairs.pipeline import register_pair
 from adagmm_fusion.pairs.refinement import see_features
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_o3d.evaluation import information_matrix, overlap_ratio
+from adagmm_o3d.result import LEAST_MARGIN, PointRegistrationResult
 
 # One wrong pose bends the whole path. A pose that the colour images do not confirm therefore needs the first overlap,
 # one that they confirm the last only. Where fewer features agree than confirm a pose, but so many as agree with no
 # wrong one by chance, the second will do; the pose graph may drop it.
 MIN_OVERLAP_ALONE, MIN_OVERLAP_SUPPORTED, MIN_OVERLAP_CONFIRMED = 0.6, 0.4, 0.15
 SUPPORTING = 5
+# What a pose that is not believed has to overlap to be told to others, which may say the same.
+MIN_OVERLAP_TOLD = 0.2
+NOT_CONFIRMED = "the colours do not confirm that they show the same place"
 # A rig's extrinsics weigh as much as this many point pairs at a metre's distance, which is more than any registration.
 RIG_POINTS = 1e5
 
@@ -26,7 +30,8 @@ class Edge:
     """One registration between two frames.
 
     transformation : (4, 4) T_target_source.    information : (6, 6), as adagmm_o3d.evaluation.information_matrix.
-    loop_closure : it may be wrong, and the optimisation may drop it.    reason : why it cannot be used, or empty.
+    loop_closure : it may be wrong, and the optimisation may drop it.
+    reason : why it cannot be used, or empty. With a pose it is doubtful: by itself it is not believed.
     """
 
     source: int
@@ -39,6 +44,10 @@ class Edge:
     @property
     def usable(self) -> bool:
         return not self.reason
+
+    @property
+    def doubtful(self) -> bool:
+        return bool(self.reason) and self.transformation is not None
 
 
 def rig_edge(source: int, target: int, T_target_source: np.ndarray) -> Edge:
@@ -67,7 +76,7 @@ def registered_edge(
     settings = replace(settings, start="features")
     seen = see_features(pair, settings)
     if confirmed_only and seen.believed is None:
-        return refused("the colours do not confirm that they show the same place")
+        return refused(NOT_CONFIRMED)
     outcome = register_pair(pair, settings, seen=seen)
     if outcome.estimate is None:
         return refused(outcome.reason)
@@ -76,12 +85,22 @@ def registered_edge(
     distance = common_partner_distance(settings)  # one for all edges, as their information counts partners
     overlap = overlap_ratio(points, onto, T, distance)
     confirmed, least = outcome.agreeing_features >= MIN_INLIERS, least_overlap(outcome.agreeing_features)
-    if outcome.estimate.warnings:
-        return refused("; ".join(outcome.estimate.warnings))
-    if confirmed_only and not confirmed:
-        return refused("the colours do not confirm that they show the same place")
-    if overlap < least:
-        but = "" if confirmed else " and the colours do not confirm it"
-        return refused(f"overlap {overlap:.2f} is below {least:g}{but}")
-    doubtful = loop_closure or (not confirmed and overlap < MIN_OVERLAP_ALONE)
-    return Edge(source, target, T, information_matrix(points, onto, distance, T), doubtful)
+    reason = "; ".join(outcome.estimate.warnings)
+    if not reason and confirmed_only and not confirmed:
+        reason = NOT_CONFIRMED
+    if not reason and overlap < least:
+        reason = f"overlap {overlap:.2f} is below {least:g}{'' if confirmed else ' and the colours do not confirm it'}"
+    if reason and (overlap < MIN_OVERLAP_TOLD or not _may_be_confirmed(outcome.estimate)):
+        return refused(reason)
+    may_be_wrong = loop_closure or (not confirmed and overlap < MIN_OVERLAP_ALONE)
+    return Edge(source, target, T, information_matrix(points, onto, distance, T), may_be_wrong, reason)
+
+
+def _may_be_confirmed(estimate: PointRegistrationResult) -> bool:
+    """Whether nothing is said against a pose but that the clouds agree too little, or share too little. What is
+    symmetric, or left free, frames side by side get wrong alike."""
+    verdict = estimate.weigh()
+    symmetric = verdict is not None and (
+        verdict.mirrored or verdict.scale is not None or (verdict.margin is not None and verdict.margin < LEAST_MARGIN)
+    )
+    return not estimate.doubts and not estimate.unobservable and not symmetric

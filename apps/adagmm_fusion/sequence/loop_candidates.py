@@ -18,6 +18,8 @@ NEAR_ROTATION_DEG, NEAR_TRANSLATION_M, NEAR_PER_FRAME = 25.0, 0.5, 2
 NEAR_MIN_GAP = 3
 # Of each frame this many of the most alike are taken, with at least so many segments between.
 ALIKE_PER_FRAME, ALIKE_MIN_GAP = 6, 2
+# Pairs of frames that are looked at to join parts, at most.
+EVENLY = 1000
 # The vocabulary: its words, the features taken of a frame, and the frames along the recording that they come from.
 WORDS, FEATURES_PER_FRAME, VOCABULARY_FRAMES = 48, 400, 64
 
@@ -78,6 +80,20 @@ def alike_frames(
         for k in _apart(likest_first, moment, length, ALIKE_PER_FRAME):
             chosen[frames[max(i, k)], frames[min(i, k)]] = None
     return sorted(chosen)
+
+
+def evenly(frames: tuple[int, ...], moments: dict[int, int]) -> list[tuple[int, int]]:
+    """(source, target), the later frame first, of any two frames at different moments, the nearest in time first; of
+    more than EVENLY so many, evenly."""
+    order = sorted(frames, key=lambda frame: (moments[frame], frame))
+    count, total = len(order), len(order) * (len(order) - 1) // 2
+    places = np.unique(np.linspace(0, total - 1, min(total, EVENLY)).astype(np.int64))
+    # Pairs are numbered by gap: count - 1 of the first, count - 2 of the second, and so on.
+    begins = np.concatenate([[0], np.cumsum(np.arange(count - 1, 0, -1))])
+    gaps = np.searchsorted(begins, places, side="right")
+    firsts = places - begins[gaps - 1]
+    pairs = [(order[first + gap], order[first]) for first, gap in zip(firsts, gaps, strict=True)]
+    return [pair for pair in pairs if moments[pair[0]] != moments[pair[1]]]
 
 
 def thinned(pairs: Iterable[tuple[int, int]], moments: dict[int, int]) -> list[tuple[int, int]]:

@@ -1,4 +1,5 @@
-"""Registering a scene's frames with each other: neighbours first, then whatever else may show the same place."""
+"""Registering a scene's frames with each other: neighbours first, then whatever else may show the same place, and at
+last, where parts hang together by nothing, frames of one part with those of another."""
 
 from collections.abc import Callable
 
@@ -6,8 +7,9 @@ from adagmm_fusion.frames.rgbd import RGBDFrame, RGBDPair
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.recordings.frame_sequence import Recording
 from adagmm_fusion.sequence.edge_file import EdgeFile
-from adagmm_fusion.sequence.edges import Edge, registered_edge
-from adagmm_fusion.sequence.loop_candidates import alike_frames, near_frames, thinned
+from adagmm_fusion.sequence.edges import NOT_CONFIRMED, Edge, registered_edge
+from adagmm_fusion.sequence.joining import joined
+from adagmm_fusion.sequence.loop_candidates import alike_frames, evenly, near_frames, thinned
 from adagmm_fusion.sequence.pose_graph import chained_poses, connected_sets
 from adagmm_fusion.sequence.scene import Scene
 from adagmm_o3d.errors import AdaGMMError
@@ -44,6 +46,28 @@ def register_scene(recording: Recording, scene: Scene, settings: Settings, file:
     for done, (source, target) in enumerate(near):
         progress("closing loops", done, len(near))
         registrar.edge(source, target, loop_closure=True)
+    _join(scene, file, registrar, progress)
+
+
+def _join(scene: Scene, file: EdgeFile, registrar: "_Registrar", progress: Progress) -> None:
+    """Register frames of different parts until nothing is apart, those that follow each other closest first."""
+    pairs = evenly(scene.frames, scene.moments)
+    part_of = _parts(scene, file)
+    for done, (source, target) in enumerate(pairs):
+        progress("joining parts", done, len(pairs))
+        known = file.find(source, target)
+        looked_at = known is not None and (known.reason != NOT_CONFIRMED or known.doubtful)
+        if looked_at or part_of[source] == part_of[target]:
+            continue
+        edge = registrar.edge(source, target, loop_closure=True, again=True)
+        if edge.usable or edge.doubtful:
+            part_of = _parts(scene, file)
+
+
+def _parts(scene: Scene, file: EdgeFile) -> dict[int, int]:
+    """Of each frame the number of the part that it belongs to, by what is registered so far."""
+    edges = joined([*scene.rig, *file.edges], scene.frames)
+    return {frame: number for number, part in enumerate(connected_sets(edges, scene.frames)) for frame in part}
 
 
 class _Registrar:
@@ -53,9 +77,18 @@ class _Registrar:
         self._recording, self._settings, self._file = recording, settings, file
         self._kept: dict[int, RGBDFrame] = {}
 
-    def edge(self, source: int, target: int, *, loop_closure: bool = False, confirmed_only: bool = False) -> Edge:
+    def edge(
+        self,
+        source: int,
+        target: int,
+        *,
+        loop_closure: bool = False,
+        confirmed_only: bool = False,
+        again: bool = False,
+    ) -> Edge:
+        """The edge between two frames, registered if it was not, or `again`."""
         edge = self._file.find(source, target)
-        if edge is None:
+        if edge is None or again:
             try:
                 pair = self._pair(source, target)
             except AdaGMMError as problem:

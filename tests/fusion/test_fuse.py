@@ -34,6 +34,7 @@ from adagmm_fusion.sequence.trajectory_errors import align_rigid, trajectory_err
 from adagmm_o3d import lie
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.lie import se_inverse
+from adagmm_o3d.result import Deferred, Verdict
 
 INTRINSICS = PinholeIntrinsics(160, 120, 140.0, 140.0, 79.5, 59.5)
 POSES = [camera_pose(5.0 * i - 10.0, (0.03 * i, 0.05 * i, 1.2)) for i in range(5)]
@@ -260,6 +261,40 @@ def test_the_fewer_features_agree_the_more_has_to_overlap(registered_step, monke
     monkeypatch.setattr(edges_module, "overlap_ratio", lambda *_: overlap)
     found = edges_module.registered_edge(pair, 1, 0, Settings(device="cpu", voxel_size_m=0.05), loop_closure=False)
     assert becomes == (found.reason or ("doubtful" if found.loop_closure else "sure"))
+
+
+@pytest.mark.parametrize(("agreeing", "doubtful"), [(0, True), (4, True), (5, False), (15, False)])
+def test_shape_alone_joins_no_parts_by_itself(registered_step, monkeypatch, agreeing, doubtful):
+    pair, outcome = registered_step
+    judged = replace(outcome, agreeing_features=agreeing)
+    monkeypatch.setattr(edges_module, "register_pair", lambda *_, **__: judged)
+    monkeypatch.setattr(edges_module, "overlap_ratio", lambda *_: 0.9)
+    settings = Settings(device="cpu", voxel_size_m=0.05)
+    found = edges_module.registered_edge(pair, 1, 0, settings, loop_closure=True, joining=True)
+    assert found.doubtful == doubtful and found.usable != doubtful
+
+
+@pytest.mark.parametrize(
+    ("said", "confirmable"),
+    [
+        ({}, True),
+        ({"belief": 0.3}, True),
+        ({"evidence": 0.1}, True),
+        ({"belief": 0.3, "margin": -0.1}, False),
+        ({"mirrored": True}, False),
+        ({"scale": 1.1}, False),
+    ],
+)
+@pytest.mark.parametrize("overlap", [0.25, 0.15])
+def test_others_may_confirm_what_only_agrees_too_little(registered_step, monkeypatch, said, confirmable, overlap):
+    pair, outcome = registered_step
+    verdict = Verdict(**({"evidence": 1.0, "belief": 0.9, "margin": 0.5} | said))
+    estimate = replace(outcome.estimate, weigh=Deferred(lambda: verdict))
+    judged = replace(outcome, agreeing_features=0, estimate=estimate)
+    monkeypatch.setattr(edges_module, "register_pair", lambda *_, **__: judged)
+    monkeypatch.setattr(edges_module, "overlap_ratio", lambda *_: overlap)
+    found = edges_module.registered_edge(pair, 1, 0, Settings(device="cpu", voxel_size_m=0.05), loop_closure=True)
+    assert not found.usable and found.doubtful == (confirmable and overlap > 0.2)
 
 
 def test_loops_are_sought_near_by_and_far_along_the_path():

@@ -188,7 +188,7 @@ def test_memory_does_not_grow_with_the_recording(tmp_path, monkeypatch):
         most.append(len(alive))
         return frame
 
-    def registered(pair, source, target, settings, *, loop_closure, confirmed_only=False):
+    def registered(pair, source, target, settings, *, loop_closure, confirmed_only=False, joining=False):
         T = se_inverse(poses[target]) @ poses[source]
         return Edge(source, target, T, 1000.0 * np.eye(6), loop_closure)
 

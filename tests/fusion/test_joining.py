@@ -126,8 +126,9 @@ def test_frames_of_parts_are_registered_until_nothing_is_apart(tmp_path, monkeyp
     write_pose_file(tmp_path / "room", poses, intrinsics)
     recording, tried = open_recording(tmp_path / "room"), []
 
-    def registered(pair, source, target, settings, *, loop_closure, confirmed_only=False):
+    def registered(pair, source, target, settings, *, loop_closure, confirmed_only=False, joining=False):
         apart = (source > 2) != (target > 2)
+        assert not joining or apart
         if apart and (confirmed_only or source - target < 3):
             return Edge(source, target, None, None, loop_closure, NOT_CONFIRMED if confirmed_only else "no overlap")
         tried.append((source, target))

@@ -63,9 +63,17 @@ def least_overlap(agreeing: int) -> float:
 
 
 def registered_edge(
-    pair: RGBDPair, source: int, target: int, settings: Settings, *, loop_closure: bool, confirmed_only: bool = False
+    pair: RGBDPair,
+    source: int,
+    target: int,
+    settings: Settings,
+    *,
+    loop_closure: bool,
+    confirmed_only: bool = False,
+    joining: bool = False,
 ) -> Edge:
-    """Register a pair; with `confirmed_only`, only if its colour images agree on a pose that the depth confirms.
+    """Register a pair; with `confirmed_only`, only if its colour images agree on a pose that the depth confirms. Where
+    it joins two parts, which nothing else would contradict, shape alone does not do.
 
     Registered and features' poses compete in `register_pair`; no other judge comes after it.
     """
@@ -90,6 +98,8 @@ def registered_edge(
         reason = NOT_CONFIRMED
     if not reason and overlap < least:
         reason = f"overlap {overlap:.2f} is below {least:g}{'' if confirmed else ' and the colours do not confirm it'}"
+    if not reason and joining and outcome.agreeing_features < SUPPORTING:
+        reason = "shape alone joins these parts, by this one registration"
     if reason and (overlap < MIN_OVERLAP_TOLD or not _may_be_confirmed(outcome.estimate)):
         return refused(reason)
     may_be_wrong = loop_closure or (not confirmed and overlap < MIN_OVERLAP_ALONE)

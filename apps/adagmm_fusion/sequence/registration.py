@@ -59,7 +59,7 @@ def _join(scene: Scene, file: EdgeFile, registrar: "_Registrar", progress: Progr
         looked_at = known is not None and (known.reason != NOT_CONFIRMED or known.doubtful)
         if looked_at or part_of[source] == part_of[target]:
             continue
-        edge = registrar.edge(source, target, loop_closure=True, again=True)
+        edge = registrar.edge(source, target, loop_closure=True, joining=True)
         if edge.usable or edge.doubtful:
             part_of = _parts(scene, file)
 
@@ -84,17 +84,17 @@ class _Registrar:
         *,
         loop_closure: bool = False,
         confirmed_only: bool = False,
-        again: bool = False,
+        joining: bool = False,
     ) -> Edge:
-        """The edge between two frames, registered if it was not, or `again`."""
+        """The edge between two frames; see `registered_edge`. With `joining` whatever is known of them."""
         edge = self._file.find(source, target)
-        if edge is None or again:
+        if edge is None or joining:
             try:
                 pair = self._pair(source, target)
             except AdaGMMError as problem:
                 edge = Edge(source, target, None, None, loop_closure, " ".join(str(problem).split()))
             else:
-                more = {"loop_closure": loop_closure, "confirmed_only": confirmed_only}
+                more = {"loop_closure": loop_closure, "confirmed_only": confirmed_only, "joining": joining}
                 edge = registered_edge(pair, source, target, self._settings, **more)
             self._file.add(edge)
         return edge

@@ -81,7 +81,8 @@ class Verdict:
     these are the same.   scale : factor by which the source would have to be scaled, where its size is clearly another
     one, else None.   over_image : by how much the pose explains the clouds better than the mirror image of the source
     does, where that was looked at; 0 where an image that does better says nothing.   mirrored : whether that fits so
-    clearly better that it must be one.   belief : the probability that the pose is right.
+    clearly better that it must be one.   repeats : whether slid along itself the shape fits as well, so that there are
+    several such poses; looked at where this one is believed.   belief : the probability that the pose is right.
     """
 
     evidence: float
@@ -91,6 +92,7 @@ class Verdict:
     scale: float | None = None
     over_image: float | None = None
     mirrored: bool = False
+    repeats: bool = False
     belief: float | None = None
 
 
@@ -276,6 +278,8 @@ def _objections(verdict: Verdict) -> list[str]:
                 "where the clouds meet they agree too little: the pose is right with a probability of "
                 f"{verdict.belief:.0%}"
             )
+    if verdict.repeats:
+        reasons.append("slid from here the clouds fit as well: a shape that repeats itself")
     if verdict.scale is not None:
         reasons.append(
             f"the clouds are of different sizes: the source fits if it is scaled by {verdict.scale:.3f} before"

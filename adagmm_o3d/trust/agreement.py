@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.lie import se_inverse
 from adagmm_o3d.mixtures.merging import MergedMixture
-from adagmm_o3d.mixtures.sampling import quantile
+from adagmm_o3d.mixtures.sampling import quantile, some_of
 from adagmm_o3d.mixtures.spacing import spacing_of
 from adagmm_o3d.neighbors import NeighborIndex
 from adagmm_o3d.trust.normals import normals_of
@@ -88,6 +88,14 @@ class Surface:
         off = np.abs(np.einsum("ni,ni->n", points - self.points[nearest], self.normals[nearest]))
         return nearest, squares[:, 0], off
 
+    def some(self, count: int) -> Surface:
+        """At most so many of its points, to be looked at from another surface; what is known of them stays."""
+        part = Surface.__new__(Surface)
+        index = some_of(np.arange(len(self.points)), count)
+        kept = {name: getattr(self, name)[index] for name in ("points", "normals", "flat", "vague")}
+        part.__dict__.update(kept, spacing=self.spacing, dimension=self.dimension)
+        return part
+
     def reflected(self, reflection: Array) -> Surface:
         """The surface under a (3, 3) reflection, which changes nothing in what is known of it."""
         image = Surface.__new__(Surface)
@@ -114,6 +122,13 @@ def agreement(source: Surface, target: Surface, pose: Array) -> Agreement:
         held=_held(on, at_end) / min(source.expected, target.expected),
         beyond=float(at_end[~on].mean()) if not on.all() else 0.0,
     )
+
+
+def held_and_share(own: Surface, other: Surface, pose: Array) -> tuple[float, float]:
+    """Of the points of one surface that a pose (4, 4) moves to where the other goes on, the share that is on it; and of
+    all, the share that is."""
+    on, at_end = _meets(own, other, pose)
+    return _held(on, at_end), float(on.mean())
 
 
 def typical_off(off: Array, spacing: float) -> float:

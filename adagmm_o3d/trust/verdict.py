@@ -5,7 +5,8 @@ clouds that share less. What sets them apart: where the surface of either cloud 
 the halves of one cloud do (`agreement`); and no other pose does as well, neither one that is turned from there
 (`rivals`) nor what can only be wrong, the mirror image of the source (`mirror`). These go together
 into one logistic regression, with a weight for each, of outcomes for which the truth is known; a right and a wrong
-outcome count as equally likely beforehand, so that a belief of a half is where in doubt one warns.
+outcome count as equally likely beforehand, so that a belief of a half is where in doubt one warns. A shape that repeats
+itself is said to (`repetition`), however well it fits.
 
 The weights are fitted to generated pairs alone, of bodies, machines, rooms and clutter: `adagmm-bench belief` makes
 them, registers them and prints the weights. Recorded and public pairs are held out of the fit; the choice of the signs
@@ -24,6 +25,7 @@ from adagmm_o3d.result import LEAST_BELIEF, Verdict
 from adagmm_o3d.trust.agreement import Agreement, Surface, agreement, surfaces_of
 from adagmm_o3d.trust.judge import JUDGED, Judge
 from adagmm_o3d.trust.mirror import REFLECTION, MirrorImage, fit_mirror_image
+from adagmm_o3d.trust.repetition import repeats_itself
 from adagmm_o3d.trust.rivals import margin_over_turned
 from adagmm_o3d.trust.scale import estimate_scale
 
@@ -66,7 +68,9 @@ def weigh(judge: Judge, pose: Array, *, turned: bool) -> Verdict:
         speaks = image.margin < 0.0 or agreed.beyond < BEYOND
         mirrored = speaks and _is_mirrored(image, source, target, agreed)
         verdict = replace(verdict, over_image=-image.margin if speaks else 0.0, mirrored=mirrored)
-    return replace(verdict, belief=believe(signs(verdict)))
+    belief = believe(signs(verdict))
+    repeats = belief >= LOOKED_AT and sides[0].dimension == 3 and repeats_itself(judge, source, target, pose)
+    return replace(verdict, repeats=repeats, belief=belief)
 
 
 def _is_mirrored(image: MirrorImage, source: Surface, target: Surface, agreed: Agreement) -> bool:

@@ -282,6 +282,7 @@ def test_shape_alone_joins_no_parts_by_itself(registered_step, monkeypatch, agre
         ({"evidence": 0.1}, True),
         ({"belief": 0.3, "margin": -0.1}, False),
         ({"mirrored": True}, False),
+        ({"repeats": True}, False),
         ({"scale": 1.1}, False),
     ],
 )

@@ -111,6 +111,9 @@ def _may_be_confirmed(estimate: PointRegistrationResult) -> bool:
     symmetric, or left free, frames side by side get wrong alike."""
     verdict = estimate.weigh()
     symmetric = verdict is not None and (
-        verdict.mirrored or verdict.scale is not None or (verdict.margin is not None and verdict.margin < LEAST_MARGIN)
+        verdict.mirrored
+        or verdict.repeats
+        or verdict.scale is not None
+        or (verdict.margin is not None and verdict.margin < LEAST_MARGIN)
     )
     return not estimate.doubts and not estimate.unobservable and not symmetric

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from shapes import move
+from shapes import corner_room, move, rectangle
 
 from adagmm_o3d import estimate_surface_covariances
 from adagmm_o3d.evaluation import pose_errors
@@ -10,26 +10,6 @@ from adagmm_o3d.lie import se_exp
 from adagmm_o3d.mixtures.mixture import make_mixture
 from adagmm_o3d.mixtures.normalisation import normalise
 from adagmm_o3d.search.directions import direction_poses
-
-
-def rectangle(rng, corner, *edges, density=150.0):
-    corner, edges = np.array(corner), np.array(edges, dtype=float)
-    count = int(density * np.prod(np.linalg.norm(edges, axis=1)))
-    return corner + rng.random((count, 2)) @ edges
-
-
-def corner_room(rng):
-    """A floor and two walls, with a cupboard at one of them; x along that wall."""
-    return np.concatenate(
-        [
-            rectangle(rng, (0, 0, 0), (5, 0, 0), (0, 3, 0)),
-            rectangle(rng, (0, 0, 0), (5, 0, 0), (0, 0, 2.5)),
-            rectangle(rng, (0, 0, 0), (0, 3, 0), (0, 0, 2.5)),
-            rectangle(rng, (1.6, 0.6, 0), (0.8, 0, 0), (0, 0, 1.8)),
-            rectangle(rng, (1.6, 0, 0), (0, 0.6, 0), (0, 0, 1.8)),
-            rectangle(rng, (2.4, 0, 0), (0, 0.6, 0), (0, 0, 1.8)),
-        ]
-    )
 
 
 def mixtures(source, target):

@@ -48,3 +48,37 @@ def turn(covariances, transformation):
     """Covariances under a (D+1, D+1) transformation."""
     rotation = transformation[:-1, :-1]
     return rotation @ covariances @ rotation.T
+
+
+def rectangle(rng, corner, *edges, density=150.0):
+    """(n, 3) points on a rectangle, `density` on a unit of area."""
+    corner, edges = np.array(corner), np.array(edges, dtype=float)
+    count = int(density * np.prod(np.linalg.norm(edges, axis=1)))
+    return corner + rng.random((count, 2)) @ edges
+
+
+def corner_room(rng):
+    """A floor and two walls, with a cupboard at one of them; x along that wall."""
+    return np.concatenate(
+        [
+            rectangle(rng, (0, 0, 0), (5, 0, 0), (0, 3, 0)),
+            rectangle(rng, (0, 0, 0), (5, 0, 0), (0, 0, 2.5)),
+            rectangle(rng, (0, 0, 0), (0, 3, 0), (0, 0, 2.5)),
+            rectangle(rng, (1.6, 0.6, 0), (0.8, 0, 0), (0, 0, 1.8)),
+            rectangle(rng, (1.6, 0, 0), (0, 0.6, 0), (0, 0, 1.8)),
+            rectangle(rng, (2.4, 0, 0), (0, 0.6, 0), (0, 0, 1.8)),
+        ]
+    )
+
+
+DOOR = 1.3  # from each to the next
+
+
+def corridor(rng):
+    """A floor and a wall with six doors, each a little recessed; x along it."""
+    parts = [rectangle(rng, (0, 0, 0), (6 * DOOR, 0, 0), (0, 2.4, 0), density=100.0)]
+    for x in DOOR * np.arange(6):
+        parts.append(rectangle(rng, (x, 0, 0), (0.5, 0, 0), (0, 0, 2.2)))
+        parts.append(rectangle(rng, (x + 0.5, -0.15, 0), (0.8, 0, 0), (0, 0, 2.2)))
+        parts += [rectangle(rng, (x + side, -0.15, 0), (0, 0.15, 0), (0, 0, 2.2)) for side in (0.5, 1.3)]
+    return np.concatenate(parts)

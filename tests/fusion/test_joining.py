@@ -80,6 +80,12 @@ def test_as_many_that_say_something_else_leave_the_parts_apart():
     assert [edge.usable for edge in edges[6:]] == [True] * 4 + [False] * 2
 
 
+def test_the_same_two_frames_the_other_way_round_count_once():
+    walk = Walk(1)
+    doubtful = [walk.edge(4, 0), walk.edge(0, 4), walk.edge(5, 1)]
+    assert joined([*walk.parts, *doubtful], FRAMES) == [*walk.parts, *doubtful]
+
+
 def test_what_has_no_pose_or_lies_within_a_part_confirms_nothing():
     walk = Walk(3)
     without = [replace(walk.edge(*pair), transformation=None, information=None) for pair in ((4, 0), (5, 1), (6, 2))]

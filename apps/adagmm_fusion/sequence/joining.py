@@ -42,11 +42,14 @@ def _confirmed(edges: Sequence[Edge], frames: Iterable[int]) -> list[int]:
     parts = connected_sets(edges, frames)
     part_of = {frame: number for number, part in enumerate(parts) for frame in part}
     between: dict[tuple[int, int], list[int]] = defaultdict(list)
+    counted = set()  # the same two frames the other way round confirm nothing
     for k, edge in enumerate(edges):
         if edge.doubtful and edge.source in part_of and edge.target in part_of:
             a, b = sorted((part_of[edge.source], part_of[edge.target]))
-            if a != b:
+            two = frozenset((edge.source, edge.target))
+            if a != b and two not in counted:
                 between[a, b].append(k)
+                counted.add(two)
     chains: dict[int, Poses] = {}
     best: list[int] = []
     for (a, b), candidates in sorted(between.items()):

@@ -55,8 +55,8 @@ def _join(scene: Scene, file: EdgeFile, registrar: "_Registrar", progress: Progr
     part_of = _parts(scene, file)
     for done, (source, target) in enumerate(pairs):
         progress("joining parts", done, len(pairs))
-        known = file.find(source, target)
-        looked_at = known is not None and (known.reason != NOT_CONFIRMED or known.doubtful)
+        known = [edge for edge in (file.find(source, target), file.find(target, source)) if edge is not None]
+        looked_at = any(edge.reason != NOT_CONFIRMED or edge.doubtful for edge in known)
         if looked_at or part_of[source] == part_of[target]:
             continue
         edge = registrar.edge(source, target, loop_closure=True, joining=True)

@@ -20,7 +20,7 @@ from adagmm_o3d import lie
 from adagmm_o3d.lie import se_inverse
 
 FRAMES = range(8)
-NEARLY = (0.01, -0.02, 0.01, 0.03, 0.05, -0.04)
+NEARLY = (0.005, -0.01, 0.005, 0.015, 0.025, -0.02)
 AWAY, ELSEWHERE = (0.0, 0.0, 0.5, 1.0, 0.0, 0.0), (0.0, 1.5, 0.0, 0.0, 2.0, 0.0)
 
 

@@ -23,7 +23,7 @@ from adagmm_o3d.lie import se_inverse
 # So many have to agree, and so many times as many as agree on another place.
 AGREEING, CLEARLY_MORE = 3, 2
 # Two agree that place the parts within this of each other, at the frames that they were found with.
-SAME_DEG, SAME_M = 3.0, 0.2
+SAME_DEG, SAME_M = 2.0, 0.15
 
 
 def joined(edges: Iterable[Edge], frames: Iterable[int]) -> list[Edge]:

@@ -15,9 +15,8 @@ import numpy as np
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.kernels.cpu.votes import vote_for_shifts
-from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.sampling import some_of
-from adagmm_o3d.search.features import FEWEST, Thinned, thinned_alike
+from adagmm_o3d.search.features import Alike, Thinned, nearest_rotations
 
 # Points of either cloud that are asked.
 ASKED = 400
@@ -34,25 +33,24 @@ RIGHT_ANGLE = 0.1
 # The edge of a cell of shifts, at least, in radii; the absolute cosine of normals that agree; shifts that are kept of a
 # rotation.
 EDGE, AGREE, SHIFTS = 0.06, math.cos(math.radians(20.0)), 3
-# Cells of shifts, at most.
+# Cells of shifts, about so many at most.
 CELLS = 1 << 18
 # Of two directions that have no sign.
 SIGNS = tuple(itertools.product((1.0, -1.0), repeat=2))
 
 
-def direction_poses(source: Mixture, target: Mixture) -> list[Array]:
-    """Poses (4, 4) between two normalised mixtures in space, those with most votes first; none where either faces
-    fewer than two directions."""
-    moving, fixed, edge = thinned_alike(source, target)
-    if min(len(moving.points), len(fixed.points)) < FEWEST:
+def direction_poses(alike: Alike) -> list[Array]:
+    """Poses (4, 4) between two normalised clouds in space, those with most votes first; none where either faces fewer
+    than two directions."""
+    if alike.too_few:
         return []
-    (points, normals), (others, other_normals) = _some(moving), _some(fixed)
+    (points, normals), (others, other_normals) = _some(alike.source), _some(alike.target)
     own, other = _facing(normals), _facing(other_normals)
     rotations = _rotations(_directions(normals, own), _directions(other_normals, other))
     if not len(rotations):
         return []
     extents = np.ptp(points @ rotations.transpose(0, 2, 1), axis=1) + np.ptp(others, axis=0)
-    edge = max(edge, EDGE, float(extents.prod(axis=1).max() / CELLS) ** (1.0 / 3.0))
+    edge = max(alike.edge, EDGE, float(extents.prod(axis=1).max() / CELLS) ** (1.0 / 3.0))
     peaks = np.empty((len(rotations), SHIFTS, 4))
     vote_for_shifts(
         np.column_stack([points, own**-0.5]),
@@ -117,9 +115,7 @@ def _rotations(own: list[Array], other: list[Array]) -> Array:
                 laid.append(np.outer(s * c, a) + np.outer(t * d, b) + s * t * np.outer(np.cross(c, d), np.cross(a, b)))
     if not laid:
         return np.empty((0, 3, 3))
-    left, _, right = np.linalg.svd(np.array(laid))
-    left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
-    rotations = left @ right
+    rotations = nearest_rotations(np.array(laid))
     same = np.einsum("iab,jab->ij", rotations, rotations) > 1.0 + 2.0 * math.cos(SAME_ROTATION)
     kept: list[int] = []
     for i in range(len(rotations)):

@@ -47,11 +47,22 @@ class Thinned(NamedTuple):
     features: NDArray[np.float32]
 
 
-def feature_poses(source: Mixture, target: Mixture) -> list[Array]:
-    """Poses (4, 4) between two normalised mixtures in space, most supported first; none where no shape is
-    recognised."""
-    moving, fixed, edge = thinned_alike(source, target)
-    if min(len(moving.points), len(fixed.points)) < FEWEST:
+class Alike(NamedTuple):
+    """Two clouds on grids of one edge."""
+
+    source: Thinned
+    target: Thinned
+    edge: float
+
+    @property
+    def too_few(self) -> bool:
+        return min(len(self.source.points), len(self.target.points)) < FEWEST
+
+
+def feature_poses(alike: Alike) -> list[Array]:
+    """Poses (4, 4) between two normalised clouds in space, most supported first; none where no shape is recognised."""
+    moving, fixed, edge = alike
+    if alike.too_few:
         return []
     i, j = _correspondences(moving.features, fixed.features)
     p, q = moving.points[i], fixed.points[j]
@@ -60,8 +71,8 @@ def feature_poses(source: Mixture, target: Mixture) -> list[Array]:
     return _poses(p, q, support, TOLERANCE * edge)
 
 
-def thinned_alike(source: Mixture, target: Mixture) -> tuple[Thinned, Thinned, float]:
-    """Both mixtures on grids of one edge, and that."""
+def thinned_alike(source: Mixture, target: Mixture) -> Alike:
+    """Both of two normalised mixtures in space on grids of one edge."""
     edges = [mixture.kept_for("grid edge", partial(_grid_edge, mixture)) for mixture in (source, target)]
     edge = max(edges)
     moving, fixed = (
@@ -69,7 +80,7 @@ def thinned_alike(source: Mixture, target: Mixture) -> tuple[Thinned, Thinned, f
         mixture.kept_for("thinned", partial(_thinned, mixture, edge)) if own == edge else _thinned(mixture, edge)
         for mixture, own in zip((source, target), edges, strict=True)
     )
-    return moving, fixed, edge
+    return Alike(moving, fixed, edge)
 
 
 def _some_points(mixture: Mixture) -> Array:
@@ -185,9 +196,14 @@ def _fitted(p: Array, q: Array, weights: Array) -> Array:
     shares = weights / weights.sum(axis=1, keepdims=True)
     mean_p, mean_q = shares @ p, shares @ q
     moments = (shares[:, None, :] * p.T) @ q - mean_p[:, :, None] * mean_q[:, None, :]
-    left, _, right = np.linalg.svd(moments)
-    left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
     poses = np.tile(np.eye(4), (len(weights), 1, 1))
-    poses[:, :3, :3] = (left @ right).transpose(0, 2, 1)
+    poses[:, :3, :3] = nearest_rotations(moments).transpose(0, 2, 1)
     poses[:, :3, 3] = mean_q - (poses[:, :3, :3] @ mean_p[:, :, None])[:, :, 0]
     return poses
+
+
+def nearest_rotations(matrices: Array) -> Array:
+    """(k, 3, 3) the rotations nearest to (k, 3, 3) matrices; any of them where several are."""
+    left, _, right = np.linalg.svd(matrices)
+    left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
+    return left @ right

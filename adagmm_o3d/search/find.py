@@ -17,7 +17,7 @@ from adagmm_o3d.em.runs import End, Start, distinct, pose_distance
 from adagmm_o3d.search import starts
 from adagmm_o3d.search.around import first_end, is_tight, search_around
 from adagmm_o3d.search.directions import direction_poses
-from adagmm_o3d.search.features import feature_poses
+from adagmm_o3d.search.features import feature_poses, thinned_alike
 from adagmm_o3d.search.levels import Levels
 from adagmm_o3d.search.rotations import APART_AMBIGUOUS, search_globally
 from adagmm_o3d.search.schedule import SAME_START
@@ -112,7 +112,8 @@ def find(
     if certain:
         return _found(judge(), near, pool)
     most, apart_by = levels.schedule.proposed.kept, levels.schedule.proposed.apart
-    proposals = _apart(feature_poses(levels.source, levels.target), apart_by)
+    alike = thinned_alike(levels.source, levels.target)
+    proposals = _apart(feature_poses(alike), apart_by)
     pool += _judged(judge(), _proposed(levels, proposals[:most]))
     if not pool or max(value for _, value in [*near, *pool]) < ESTABLISHED:
         more = _proposed(levels, proposals[most : MORE * most])
@@ -122,7 +123,7 @@ def find(
         pool += _judged(judge(), more)
     seen_from = all(viewpoint is not None for viewpoint in viewpoints)
     if seen_from and max(value for _, value in [*near, *pool]) < SETTLED * judge().reference:
-        proposals = _apart(direction_poses(levels.source, levels.target), apart_by)
+        proposals = _apart(direction_poses(alike), apart_by)
         pool += _judged(judge(), _proposed(levels, proposals[:most]))
     return _found(judge(), near, pool)
 

@@ -27,12 +27,14 @@ AGAIN, MORE, AWAY = 0.85, 0.25, 0.25
 def repeats_itself(judge: Judge, source: Surface, target: Surface, pose: Array) -> bool:
     """Whether the judge's clouds, with these surfaces, agree at a pose (4, 4) no better than slid from there."""
     few = source.some(ASKED)
-    held, share = held_and_share(few, target, pose)
-    if held == 0.0 or share == 0.0:
+    at_pose = held_and_share(few, target, pose)
+    if 0.0 in at_pose:
         return False
     normals = np.concatenate([target.normals, few.normals @ pose[:3, :3].T])
     weakest = np.linalg.eigh(normals.T @ normals)[1][:, :2].T
-    slides = [slide for axis in weakest for sign in (1.0, -1.0) for slide in _slides(few, target, pose, sign * axis)]
+    slides = [
+        slide for axis in weakest for sign in (1.0, -1.0) for slide in _slides(few, target, pose, sign * axis, at_pose)
+    ]
     if not slides:
         return False
     ends = refined(judge.sides, [slide for slide, _ in slides], 0, SIGMA)
@@ -44,9 +46,12 @@ def repeats_itself(judge: Judge, source: Surface, target: Surface, pose: Array) 
     return False
 
 
-def _slides(source: Surface, target: Surface, pose: Array, axis: Array) -> list[tuple[Array, float]]:
-    """Poses slid along an axis to where more holds than before, and the least share that held on the way there."""
-    held, share = held_and_share(source, target, pose)
+def _slides(
+    source: Surface, target: Surface, pose: Array, axis: Array, at_pose: tuple[float, float]
+) -> list[tuple[Array, float]]:
+    """Poses slid along an axis to where more holds than before, and the least that held on the way there, in units of
+    what holds `at_pose`."""
+    held, share = at_pose
     slid, holds = [], []
     for distance in np.arange(STEP, FARTHEST, STEP):
         moved = pose.copy()

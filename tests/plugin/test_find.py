@@ -13,7 +13,7 @@ from adagmm_o3d.mixtures.mixture import make_mixture
 from adagmm_o3d.mixtures.normalisation import normalise
 from adagmm_o3d.search import find
 from adagmm_o3d.search.around import first_end
-from adagmm_o3d.search.features import feature_poses
+from adagmm_o3d.search.features import feature_poses, thinned_alike
 from adagmm_o3d.search.levels import Levels
 from adagmm_o3d.search.schedule import SCHEDULE
 from adagmm_o3d.search.starts import wide
@@ -96,7 +96,7 @@ def test_features_propose_the_pose(share, least):
     for seed in range(8):
         parts = Parts(seed, share, turn=2.5)
         source, target, normalisation = parts.mixtures()
-        poses = feature_poses(source, target)
+        poses = feature_poses(thinned_alike(source, target))
         proposed += min(pose_errors(parts.T, normalisation.pose_out(pose)).rotation_deg for pose in poses[:5]) < 10.0
         np.testing.assert_allclose(np.linalg.det(np.array(poses)[:, :3, :3]), 1.0, rtol=0, atol=1e-9)
     assert proposed >= least
@@ -137,7 +137,7 @@ def test_ends_on_the_way_to_one_place_are_no_rivals():
 def test_of_a_handful_of_points_nothing_is_recognised():
     rng = np.random.default_rng(0)
     clouds = [make_mixture(name, rng.normal(size=(30, 3)), None) for name in ("source", "target")]
-    assert feature_poses(*normalise(*clouds)[:2]) == []
+    assert feature_poses(thinned_alike(*normalise(*clouds)[:2])) == []
 
 
 def test_the_judge_prefers_the_truth_to_a_pose_where_all_overlaps_loosely():

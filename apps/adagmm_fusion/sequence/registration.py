@@ -54,11 +54,11 @@ def _join(scene: Scene, file: EdgeFile, registrar: "_Registrar", progress: Progr
     pairs = evenly(scene.frames, scene.moments)
     part_of = _parts(scene, file)
     for done, (source, target) in enumerate(pairs):
-        progress("joining parts", done, len(pairs))
         known = [edge for edge in (file.find(source, target), file.find(target, source)) if edge is not None]
         looked_at = any(edge.reason != NOT_CONFIRMED or edge.doubtful for edge in known)
         if looked_at or part_of[source] == part_of[target]:
             continue
+        progress("joining parts", done, len(pairs))
         edge = registrar.edge(source, target, loop_closure=True, joining=True)
         if edge.usable or edge.doubtful:
             part_of = _parts(scene, file)

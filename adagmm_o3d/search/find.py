@@ -7,8 +7,10 @@ one pool, and one judge compares them.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -21,6 +23,7 @@ from adagmm_o3d.search.features import feature_poses, thinned_alike
 from adagmm_o3d.search.levels import Levels
 from adagmm_o3d.search.rotations import APART_AMBIGUOUS, search_globally
 from adagmm_o3d.search.schedule import SAME_START
+from adagmm_o3d.trust.agreement import log_held
 from adagmm_o3d.trust.judge import Judge
 from adagmm_o3d.trust.rivals import SIGMA, refined
 
@@ -39,9 +42,9 @@ KNOWN_AGAIN, PLAUSIBLE = 0.5, 0.1
 # A first end that explains the clouds so many times as well as the halves of one cloud explain each other is right:
 # nothing that features propose does better. Round and regular bodies, of which another pose may, do not come to this.
 CERTAIN = 2.0
-# Below so much of that, surfaces that face alike are laid on each other as well. Walls and floors do that in many wrong
-# ways, which free space tells from the right one: without viewpoints more pairs of rooms are lost by it than won.
-SETTLED = 0.5
+# A pose that explains so much of that, and ESTABLISHED, needs no other proposal than those of features; with less,
+# surfaces that face alike are laid on each other as well.
+SETTLED = 0.3
 # Where the first few proposals of features establish no pose, so many times as many are tried.
 MORE = 4
 # What is assumed of points without a partner where σ begins anew.
@@ -54,6 +57,24 @@ class Found:
 
     end: End
     ambiguous: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An end of the search, and its evidence; see `Judge.evidence`."""
+
+    judge: Judge
+    end: End
+    evidence: float
+
+    @cached_property
+    def value(self) -> float:
+        """The evidence, less a nat for each factor e by which less holds than of a cloud's own halves.
+
+        Walls and floors that are piled up loosely in a wrong way explain much of both clouds, as the right pose of
+        clouds that share a third does; but where one cloud goes on the other is beside it.
+        """
+        return self.evidence + log_held(self.judge.held(self.end.pose)) - log_held(1.0)
 
 
 def find(
@@ -91,7 +112,7 @@ def find(
             return Found(first[1], False)
     sharp = levels.source.dimension == 3 and judge().sharp
     pool = _judged(judge(), [first[1]]) if sharp and first is not None else []
-    certain = bool(pool) and pool[0][1] >= CERTAIN * judge().reference
+    certain = bool(pool) and pool[0].evidence >= CERTAIN * judge().reference
     nearby: list[End] = []
     # Where the first end is certain, an identity that nobody vouched for needs no look if the clouds lie apart there.
     apart = certain and given is None and believed is not None and judge().confidence(believed) <= 0.0
@@ -107,7 +128,7 @@ def find(
             ends = search_around(levels, _others(levels, bases), first)
         return Found(ends[0], is_ambiguous([(end, end.log_likelihood) for end in ends], AMBIGUOUS_LIKELIHOOD))
     near = _judged(judge(), nearby)
-    if given is not None and near and max(value for _, value in near) >= KNOWN_AGAIN * judge().reference:
+    if given is not None and near and max(one.evidence for one in near) >= KNOWN_AGAIN * judge().reference:
         return _found(judge(), near, [])
     if certain:
         return _found(judge(), near, pool)
@@ -115,16 +136,15 @@ def find(
     alike = thinned_alike(levels.source, levels.target)
     proposals = _apart(feature_poses(alike), apart_by)
     pool += _judged(judge(), _proposed(levels, proposals[:most]))
-    if not pool or max(value for _, value in [*near, *pool]) < ESTABLISHED:
+    if _best_value([*near, *pool]) < max(ESTABLISHED, SETTLED * judge().reference):
+        laid = _apart(direction_poses(alike), apart_by)
+        pool += _judged(judge(), _proposed(levels, laid[:most]))
+    if _best_value([*near, *pool]) < ESTABLISHED:
         more = _proposed(levels, proposals[most : MORE * most])
         more += search_globally(levels) if first is None else search_around(levels, _others(levels, bases), first)
         if viewpoints[0] is not None and viewpoints[1] is not None:
             more += _starts_in_place(levels, viewpoints[0], viewpoints[1])
         pool += _judged(judge(), more)
-    seen_from = all(viewpoint is not None for viewpoint in viewpoints)
-    if seen_from and max(value for _, value in [*near, *pool]) < SETTLED * judge().reference:
-        proposals = _apart(direction_poses(alike), apart_by)
-        pool += _judged(judge(), _proposed(levels, proposals[:most]))
     return _found(judge(), near, pool)
 
 
@@ -162,31 +182,51 @@ def _starts_in_place(levels: Levels, source_viewpoint: Array, target_viewpoint: 
     return levels.carry_on(levels.schedule.proposed, ends, 2)
 
 
-def _judged(judge: Judge, ends: list[End]) -> list[tuple[End, float]]:
-    return list(zip(ends, judge.evidence([end.pose for end in ends]).tolist(), strict=True)) if ends else []
+def _judged(judge: Judge, ends: list[End]) -> list[Candidate]:
+    evidence = judge.evidence([end.pose for end in ends]).tolist() if ends else []
+    return [Candidate(judge, end, value) for end, value in zip(ends, evidence, strict=True)]
 
 
-def _found(judge: Judge, near: list[tuple[End, float]], pool: list[tuple[End, float]]) -> Found:
+def _ranked(candidates: list[Candidate]) -> list[Candidate]:
+    """Those that may be chosen or rival what is, the best first."""
+    ranked: list[Candidate] = []
+    best = -math.inf
+    for one in sorted(candidates, key=lambda one: -one.evidence):
+        # a value is no more than the evidence: whether this one holds, and all after it, need not be known
+        if one.evidence < best - MUCH_BETTER - AMBIGUOUS:
+            break
+        ranked.append(one)
+        best = max(best, one.value)
+    return sorted(ranked, key=lambda one: -one.value)
+
+
+def _best_value(candidates: list[Candidate]) -> float:
+    return max((one.value for one in _ranked(candidates)), default=-math.inf)
+
+
+def _found(judge: Judge, near: list[Candidate], pool: list[Candidate]) -> Found:
     end, rivals = _chosen(near, pool, judge.sigma)
     return Found(end, _stay_apart(judge, end.pose, rivals))
 
 
-def _chosen(near: list[tuple[End, float]], pool: list[tuple[End, float]], sigma: float) -> tuple[End, list[Array]]:
+def _chosen(near: list[Candidate], pool: list[Candidate], sigma: float) -> tuple[End, list[Array]]:
     """The best of the pool, or the best near the given start where none is clearly better, to go on from `sigma`; and
     its rivals.
 
     To stay in the nearest optimum σ was forced down, maybe below the noise, where chance decides who is a partner of
     whom.
     """
-    ranked = sorted([*near, *pool], key=lambda item: -item[1])
+    ranked = _ranked([*near, *pool])
     best = ranked[0]
-    if near:
-        at_start = max(near, key=lambda item: item[1])
-        wanted = BETTER if best[1] >= ESTABLISHED or at_start[1] <= 0.0 < best[1] else MUCH_BETTER
-        if best[1] < at_start[1] + wanted:
+    at_start = next((one for one in ranked if one in near), None)
+    if at_start is not None:
+        wanted = BETTER if best.value >= ESTABLISHED or at_start.value <= 0.0 < best.value else MUCH_BETTER
+        if best.value < at_start.value + wanted:
             best = at_start
-    rivals = _rivals([best, *(item for item in ranked if item is not best)], AMBIGUOUS)
-    return best[0]._replace(sigma=max(best[0].sigma, sigma), unmatched=min(best[0].unmatched, FRESH_UNMATCHED)), rivals
+    others = [(one.end, one.value) for one in ranked if one is not best]
+    rivals = _rivals([(best.end, best.value), *others], AMBIGUOUS)
+    end = best.end
+    return end._replace(sigma=max(end.sigma, sigma), unmatched=min(end.unmatched, FRESH_UNMATCHED)), rivals
 
 
 def _stay_apart(judge: Judge, pose: Array, rivals: list[Array]) -> bool:

@@ -8,6 +8,7 @@ one half of a cloud says of the other half.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -37,6 +38,8 @@ SAME_WAY, FLAT = 0.85, 0.1
 ONE_SIDED = 0.3
 # Of what goes on, halves of a cloud find no less than this to be on each other.
 LEAST_HELD = 0.3
+# What holds counts within these: as much as of a cloud's own halves, less what sensors bend, is no sign of more.
+HELD = (0.05, 0.95)
 # What most points are off is a standard deviation of so many times the median of that, and no less than this share of
 # the spacing.
 OF_MEDIAN, LEAST_OFF = 1.4826, 0.02
@@ -122,6 +125,11 @@ def agreement(source: Surface, target: Surface, pose: Array) -> Agreement:
         held=_held(on, at_end) / min(source.expected, target.expected),
         beyond=float(at_end[~on].mean()) if not on.all() else 0.0,
     )
+
+
+def log_held(held: float) -> float:
+    """The logarithm of what holds, within HELD."""
+    return math.log(min(max(held, HELD[0]), HELD[1]))
 
 
 def held_and_share(own: Surface, other: Surface, pose: Array) -> tuple[float, float]:

@@ -11,6 +11,7 @@ viewpoints are known, points that one sensor has seen through count against a po
 from __future__ import annotations
 
 import itertools
+from functools import cached_property
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from adagmm_o3d.mixtures.merging import MergedMixture
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.sampling import distinct_places, quantile, some_of
 from adagmm_o3d.mixtures.spacing import spacing_of
+from adagmm_o3d.trust.agreement import Surface, agreement, surfaces_of
 from adagmm_o3d.trust.free_space import RangeImage
 
 # Points of either cloud that are asked.
@@ -73,6 +75,11 @@ class Judge:
             for mixture, seen in zip((source, target), self._seen[::-1], strict=True)
         ]
 
+    @cached_property
+    def surfaces(self) -> tuple[Surface, Surface]:
+        """Those of its sides."""
+        return surfaces_of(*self.sides)
+
     def evidence(self, poses: list[Array]) -> Array:
         """(k,) mean log-likelihood of the points, both clouds together, beyond that of having no partner at all [nats].
 
@@ -84,6 +91,10 @@ class Judge:
         for k, pose in enumerate(poses):
             evidence[k] -= VIOLATION * self._violations(pose)
         return evidence
+
+    def held(self, pose: Array) -> float:
+        """Of what goes on in one cloud, the share that is on the other at a pose; see `Agreement.held`."""
+        return agreement(*self.surfaces, pose).held
 
     def confidence(self, pose: Array, coarser: float = LENIENT) -> float:
         """The same of one pose as the halves of a cloud are asked, at a scale so many times coarser: by default one at

@@ -22,7 +22,7 @@ import numpy as np
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.result import LEAST_BELIEF, Verdict
-from adagmm_o3d.trust.agreement import Agreement, Surface, agreement, surfaces_of
+from adagmm_o3d.trust.agreement import Agreement, Surface, agreement, log_held
 from adagmm_o3d.trust.judge import JUDGED, Judge
 from adagmm_o3d.trust.mirror import REFLECTION, MirrorImage, fit_mirror_image
 from adagmm_o3d.trust.repetition import repeats_itself
@@ -39,9 +39,9 @@ MIRRORED, MORE, OF_POINTS, NEARLY_ALL = 0.15, 0.04, 2 * JUDGED, 0.9
 # leaves so much of what is not shared beyond an edge of the clouds. Of such halves it is 0.97, of mirrored bodies 0.1
 # to 0.4.
 BEYOND = 0.7
-# The signs count within these. What holds: as much as of a cloud's own halves, less what sensors bend, is no sign of
-# more. The margin over what is turned, near none; that of an image that does better; the one over the nearest of both.
-HELD, TURNED, BETTER_IMAGE, NEAREST = (0.05, 0.95), (-0.3, 0.3), (-0.3, 0.0), (0.0, 1.0)
+# The signs count within these: the margin over what is turned, near none; that of an image that does better; the one
+# over the nearest of both.
+TURNED, BETTER_IMAGE, NEAREST = (-0.3, 0.3), (-0.3, 0.0), (0.0, 1.0)
 # Of the signs in their order, and the constant.
 WEIGHTS, CONSTANT = (9.8, 5.4, 9.2, 2.8), 0.1
 # A rival is looked for where without it the pose would be believed by so much.
@@ -54,7 +54,7 @@ def weigh(judge: Judge, pose: Array, *, turned: bool) -> Verdict:
     evidence, sides = judge.confidence(pose), judge.sides
     if min(len(side.points) for side in sides) < LEAST_POINTS:
         return Verdict(evidence)
-    source, target = surfaces_of(*sides)
+    source, target = judge.surfaces
     agreed = agreement(source, target, pose)
     verdict = Verdict(evidence, share=agreed.share, held=agreed.held)
     scale = estimate_scale(source, target, pose, sides[0].dimension)
@@ -89,7 +89,7 @@ def signs(verdict: Verdict) -> Array:
     margin, over_image = (math.inf if found is None else found for found in (verdict.margin, verdict.over_image))
     return np.array(
         [
-            math.log(np.clip(verdict.held, *HELD)),
+            log_held(verdict.held),
             np.clip(margin, *TURNED),
             np.clip(over_image, *BETTER_IMAGE),
             np.clip(min(margin, over_image), *NEAREST),

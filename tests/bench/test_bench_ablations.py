@@ -1,11 +1,13 @@
 """The ablation's rows: each undoes one choice, does change what runs, and leaves the package as it was."""
 
 from functools import cache
+from inspect import signature
 
 import numpy as np
 import pytest
 from shapes import body_with_head, move
 
+from adagmm_bench.color_trial import VARIANTS
 from adagmm_bench.commands.ablation import ablation_table
 from adagmm_bench.extra_pairs import LOST, DenseSurface, OppositeSides, found_part, without_side
 from adagmm_bench.methods.ablations import ABLATIONS
@@ -79,6 +81,17 @@ def test_a_row_differs_from_the_default_in_one_option_or_in_what_it_replaces():
         for replacement in variant.replacements:
             place, last = replacement.place()
             assert vars(place)[last] != replacement.value, (name, last)
+
+
+def test_a_function_that_stands_in_for_another_takes_what_that_takes():
+    compared = 0
+    for variant in (ABLATIONS | VARIANTS).values():
+        for replacement in variant.replacements:
+            place, last = replacement.place()
+            if callable(vars(place)[last]):
+                signature(replacement.value).bind(*signature(getattr(place, last)).parameters)
+                compared += 1
+    assert compared == 6
 
 
 def test_replacements_end_with_their_block_whatever_happens_in_it():

@@ -1,5 +1,7 @@
 """Any start and any overlap, and knowing when it is wrong: parts of shapes, unrelated shapes, viewpoints."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import open3d as o3d
 import pytest
@@ -118,7 +120,9 @@ def test_features_are_asked_unless_the_first_end_is_certain(noise, proposals, mo
 def test_a_start_where_the_clouds_rather_lie_apart_is_left_for_a_pose_where_they_overlap(at_start, elsewhere, left):
     there = se_exp(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
     near, other = (End(pose, 1e-3, 0.5, 0.0, pose, (), 0, True) for pose in (np.eye(4), there))
-    chosen = find._chosen([(near, at_start)], [(other, elsewhere)], 1e-3)[0]
+    all_holds = SimpleNamespace(held=lambda pose: 1.0)
+    pools = [find.Candidate(all_holds, near, at_start)], [find.Candidate(all_holds, other, elsewhere)]
+    chosen = find._chosen(*pools, 1e-3)[0]
     np.testing.assert_array_equal(chosen.pose, there if left else np.eye(4))
 
 

@@ -15,11 +15,11 @@ from adagmm_o3d.mixtures.merging import sample
 from adagmm_o3d.mixtures.mixture import make_mixture
 from adagmm_o3d.mixtures.normalisation import normalise
 from adagmm_o3d.result import Verdict
-from adagmm_o3d.trust.agreement import VAGUEST, Surface, agreement, surfaces_of
+from adagmm_o3d.trust.agreement import HELD, VAGUEST, Surface, agreement, surfaces_of
 from adagmm_o3d.trust.copies import are_copies
 from adagmm_o3d.trust.partners import partners_at
 from adagmm_o3d.trust.scale import estimate_scale
-from adagmm_o3d.trust.verdict import BETTER_IMAGE, HELD, NEAREST, TURNED, believe, signs
+from adagmm_o3d.trust.verdict import BETTER_IMAGE, NEAREST, TURNED, believe, signs
 
 
 def box_with_knob(rng, n=800):

@@ -16,7 +16,7 @@ from adagmm_o3d.em.runs import Start
 from adagmm_o3d.em.unmatched import AREA
 from adagmm_o3d.grouping import CELL
 from adagmm_o3d.mixtures.condensing import LEAST_ELONGATION, SIGMA_FLOOR
-from adagmm_o3d.mixtures.mixture import Mixture
+from adagmm_o3d.search.features import Alike
 from adagmm_o3d.search.schedule import SCHEDULE
 from adagmm_o3d.search.starts import around
 
@@ -26,7 +26,7 @@ def scheduled(**changes: Any) -> Replacement:
     return Replacement("search.register", "SCHEDULE", replace(SCHEDULE, **changes))
 
 
-def no_features(source: Mixture, target: Mixture) -> list[Array]:
+def no_features(alike: Alike) -> list[Array]:
     """In place of `feature_poses`: nothing is recognised."""
     return []
 

@@ -42,9 +42,9 @@ KNOWN_AGAIN, PLAUSIBLE = 0.5, 0.1
 # A first end that explains the clouds so many times as well as the halves of one cloud explain each other is right:
 # nothing that features propose does better. Round and regular bodies, of which another pose may, do not come to this.
 CERTAIN = 2.0
-# A pose that explains so much of that, and ESTABLISHED, needs no other proposal than those of features; with less,
-# surfaces that face alike are laid on each other as well.
-SETTLED = 0.3
+# Below so much of that, surfaces that face alike are laid on each other as well. Walls and floors do that in many wrong
+# ways, which free space tells from the right one: without viewpoints bare rooms are lost by it.
+SETTLED = 0.5
 # Where the first few proposals of features establish no pose, so many times as many are tried.
 MORE = 4
 # What is assumed of points without a partner where σ begins anew.
@@ -136,7 +136,8 @@ def find(
     alike = thinned_alike(levels.source, levels.target)
     proposals = _apart(feature_poses(alike), apart_by)
     pool += _judged(judge(), _proposed(levels, proposals[:most]))
-    if _best_value([*near, *pool]) < max(ESTABLISHED, SETTLED * judge().reference):
+    seen_from = viewpoints[0] is not None and viewpoints[1] is not None
+    if seen_from and _best_value([*near, *pool]) < SETTLED * judge().reference:
         laid = _apart(direction_poses(alike), apart_by)
         pool += _judged(judge(), _proposed(levels, laid[:most]))
     if _best_value([*near, *pool]) < ESTABLISHED:

@@ -116,14 +116,36 @@ def test_features_are_asked_unless_the_first_end_is_certain(noise, proposals, mo
         assert len(asked) == proposals, seed
 
 
+THERE = se_exp(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
+
+
+def end_at(pose):
+    return End(pose, 1e-3, 0.5, 0.0, pose, (), 0, True)
+
+
 @pytest.mark.parametrize("at_start, elsewhere, left", [(-0.16, 0.07, True), (0.05, 0.2, False), (-0.4, -0.2, False)])
 def test_a_start_where_the_clouds_rather_lie_apart_is_left_for_a_pose_where_they_overlap(at_start, elsewhere, left):
-    there = se_exp(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
-    near, other = (End(pose, 1e-3, 0.5, 0.0, pose, (), 0, True) for pose in (np.eye(4), there))
     all_holds = SimpleNamespace(held=lambda pose: 1.0)
-    pools = [find.Candidate(all_holds, near, at_start)], [find.Candidate(all_holds, other, elsewhere)]
-    chosen = find._chosen(*pools, 1e-3)[0]
-    np.testing.assert_array_equal(chosen.pose, there if left else np.eye(4))
+    near = find.Candidate(all_holds, end_at(np.eye(4)), at_start)
+    chosen = find._chosen([near], [find.Candidate(all_holds, end_at(THERE), elsewhere)], 1e-3)[0]
+    np.testing.assert_array_equal(chosen.pose, THERE if left else np.eye(4))
+
+
+@pytest.mark.parametrize("held_there, chosen", [(0.95, THERE), (0.6, np.eye(4))])
+def test_of_a_pose_of_more_evidence_that_holds_less_the_other_is_taken(held_there, chosen):
+    asked = []
+
+    def held(pose):
+        asked.append(pose)
+        return held_there if np.array_equal(pose, THERE) else 1.0
+
+    judge, hopeless = SimpleNamespace(held=held), se_exp(np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    pool = [
+        find.Candidate(judge, end_at(pose), value) for pose, value in ((THERE, 0.3), (np.eye(4), 0.1), (hopeless, -1.0))
+    ]
+    end, rivals = find._chosen([], pool, 1e-3)
+    np.testing.assert_array_equal(end.pose, chosen)
+    assert rivals == [] and len(asked) == 2  # whether a pose of too little evidence holds changes nothing
 
 
 def test_ends_on_the_way_to_one_place_are_no_rivals():

@@ -224,8 +224,9 @@ def _chosen(near: list[Candidate], pool: list[Candidate], sigma: float) -> tuple
         wanted = BETTER if best.value >= ESTABLISHED or at_start.value <= 0.0 < best.value else MUCH_BETTER
         if best.value < at_start.value + wanted:
             best = at_start
-    others = [(one.end, one.value) for one in ranked if one is not best]
-    rivals = _rivals([(best.end, best.value), *others], AMBIGUOUS)
+    # What is beside a surface may have come there since: a pose that holds less but explains as much is a rival.
+    others = [(one.end, one.evidence) for one in ranked if one is not best]
+    rivals = _rivals([(best.end, best.evidence), *others], AMBIGUOUS)
     end = best.end
     return end._replace(sigma=max(end.sigma, sigma), unmatched=min(end.unmatched, FRESH_UNMATCHED)), rivals
 

@@ -42,9 +42,10 @@ KNOWN_AGAIN, PLAUSIBLE = 0.5, 0.1
 # A first end that explains the clouds so many times as well as the halves of one cloud explain each other is right:
 # nothing that features propose does better. Round and regular bodies, of which another pose may, do not come to this.
 CERTAIN = 2.0
-# Below so much of that, surfaces that face alike are laid on each other as well. Walls and floors do that in many wrong
-# ways, which free space tells from the right one: without viewpoints bare rooms are lost by it.
-SETTLED = 0.5
+# Below so much of that, or where no pose is established if it is not known from where the clouds were seen, surfaces
+# that face alike are laid on each other as well. Walls and floors do that in many wrong ways, which free space tells
+# from the right one; without viewpoints such a pose must hold so far to be taken.
+SETTLED, HOLDS = 0.5, 0.95
 # Where the first few proposals of features establish no pose, so many times as many are tried.
 MORE = 4
 # What is assumed of points without a partner where σ begins anew.
@@ -61,11 +62,15 @@ class Found:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """An end of the search, and its evidence; see `Judge.evidence`."""
+    """An end of the search, and its evidence; see `Judge.evidence`.
+
+    least_held : what has to hold for it to be taken; it is a rival of others whether or not.
+    """
 
     judge: Judge
     end: End
     evidence: float
+    least_held: float = 0.0
 
     @cached_property
     def value(self) -> float:
@@ -74,7 +79,8 @@ class Candidate:
         Walls and floors that are piled up loosely in a wrong way explain much of both clouds, as the right pose of
         clouds that share a third does; but where one cloud goes on the other is beside it.
         """
-        return self.evidence + log_held(self.judge.held(self.end.pose)) - log_held(1.0)
+        held = self.judge.held(self.end.pose)
+        return self.evidence + log_held(held) - log_held(1.0) if held >= self.least_held else -math.inf
 
 
 def find(
@@ -137,9 +143,9 @@ def find(
     proposals = _apart(feature_poses(alike), apart_by)
     pool += _judged(judge(), _proposed(levels, proposals[:most]))
     seen_from = viewpoints[0] is not None and viewpoints[1] is not None
-    if seen_from and _best_value([*near, *pool]) < SETTLED * judge().reference:
+    if _best_value([*near, *pool]) < (SETTLED * judge().reference if seen_from else ESTABLISHED):
         laid = _apart(direction_poses(alike), apart_by)
-        pool += _judged(judge(), _proposed(levels, laid[:most]))
+        pool += _judged(judge(), _proposed(levels, laid[:most]), 0.0 if seen_from else HOLDS)
     if _best_value([*near, *pool]) < ESTABLISHED:
         more = _proposed(levels, proposals[most : MORE * most])
         more += search_globally(levels) if first is None else search_around(levels, _others(levels, bases), first)
@@ -183,9 +189,9 @@ def _starts_in_place(levels: Levels, source_viewpoint: Array, target_viewpoint: 
     return levels.carry_on(levels.schedule.proposed, ends, 2)
 
 
-def _judged(judge: Judge, ends: list[End]) -> list[Candidate]:
+def _judged(judge: Judge, ends: list[End], least_held: float = 0.0) -> list[Candidate]:
     evidence = judge.evidence([end.pose for end in ends]).tolist() if ends else []
-    return [Candidate(judge, end, value) for end, value in zip(ends, evidence, strict=True)]
+    return [Candidate(judge, end, value, least_held) for end, value in zip(ends, evidence, strict=True)]
 
 
 def _ranked(candidates: list[Candidate]) -> list[Candidate]:

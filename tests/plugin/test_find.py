@@ -150,6 +150,14 @@ def test_of_a_pose_of_more_evidence_that_holds_less_the_other_is_taken(held_ther
     assert len(rivals) == (chosen is not THERE)
 
 
+def test_a_pose_that_must_hold_and_does_not_is_a_rival_only():
+    half_holds = SimpleNamespace(held=lambda pose: 0.5)
+    pool = [find.Candidate(half_holds, end_at(np.eye(4)), 0.5), find.Candidate(half_holds, end_at(THERE), 0.5, 0.95)]
+    for candidates in (pool, pool[::-1]):
+        end, rivals = find._chosen([], candidates, 1e-3)
+        np.testing.assert_array_equal([end.pose, *rivals], [np.eye(4), THERE])
+
+
 def test_ends_on_the_way_to_one_place_are_no_rivals():
     """Half-way there they explain the clouds about as well, and are clearly different poses."""
     parts = Parts(5, 0.8, turn=0.2)

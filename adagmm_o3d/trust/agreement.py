@@ -23,6 +23,8 @@ from adagmm_o3d.mixtures.spacing import spacing_of
 from adagmm_o3d.neighbors import NeighborIndex
 from adagmm_o3d.trust.normals import normals_of
 
+# So few points are no surface.
+LEAST_POINTS = 30
 # Neighbours that a point's normal comes from, itself among them.
 NEIGHBORS = {2: 6, 3: 16}
 # So many spacings of the points from the other cloud a point is near it, and so far from its surface it is on it; or so

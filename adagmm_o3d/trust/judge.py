@@ -23,7 +23,7 @@ from adagmm_o3d.mixtures.merging import MergedMixture
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.sampling import distinct_places, quantile, some_of
 from adagmm_o3d.mixtures.spacing import spacing_of
-from adagmm_o3d.trust.agreement import Surface, agreement, surfaces_of
+from adagmm_o3d.trust.agreement import LEAST_POINTS, Surface, agreement, surfaces_of
 from adagmm_o3d.trust.free_space import RangeImage
 
 # Points of either cloud that are asked.
@@ -93,7 +93,10 @@ class Judge:
         return evidence
 
     def held(self, pose: Array) -> float:
-        """Of what goes on in one cloud, the share that is on the other at a pose; see `Agreement.held`."""
+        """Of what goes on in one cloud, the share that is on the other at a pose, see `Agreement.held`; 1 of points
+        that are too few for a surface."""
+        if min(len(side.points) for side in self.sides) < LEAST_POINTS:
+            return 1.0
         return agreement(*self.surfaces, pose).held
 
     def confidence(self, pose: Array, coarser: float = LENIENT) -> float:

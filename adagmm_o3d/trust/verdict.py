@@ -22,15 +22,13 @@ import numpy as np
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.result import LEAST_BELIEF, Verdict
-from adagmm_o3d.trust.agreement import Agreement, Surface, agreement, log_held
+from adagmm_o3d.trust.agreement import LEAST_POINTS, Agreement, Surface, agreement, log_held
 from adagmm_o3d.trust.judge import JUDGED, Judge
 from adagmm_o3d.trust.mirror import REFLECTION, MirrorImage, fit_mirror_image
 from adagmm_o3d.trust.repetition import repeats_itself
 from adagmm_o3d.trust.rivals import margin_over_turned
 from adagmm_o3d.trust.scale import estimate_scale
 
-# So few points are no surface.
-LEAST_POINTS = 30
 # The mirror image of the source must be one where it explains the clouds better by so much [nats per point], where so
 # much more of both agrees, of so many points (of fewer by more, as chance grows with the root of it), and where that is
 # nearly all. Bodies that are their own image reach 0.1 and 0.01, of 240 points 0.5 and 0.1.

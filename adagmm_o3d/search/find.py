@@ -23,7 +23,7 @@ from adagmm_o3d.search.features import feature_poses, thinned_alike
 from adagmm_o3d.search.levels import Levels
 from adagmm_o3d.search.rotations import APART_AMBIGUOUS, search_globally
 from adagmm_o3d.search.schedule import SAME_START
-from adagmm_o3d.trust.agreement import log_held
+from adagmm_o3d.trust.agreement import HELD, log_held
 from adagmm_o3d.trust.judge import Judge
 from adagmm_o3d.trust.rivals import SIGMA, refined
 
@@ -45,7 +45,7 @@ CERTAIN = 2.0
 # Below so much of that, or where no pose is established if it is not known from where the clouds were seen, surfaces
 # that face alike are laid on each other as well. Walls and floors do that in many wrong ways, which free space tells
 # from the right one; without viewpoints such a pose must hold so far to be taken.
-SETTLED, HOLDS = 0.5, 0.95
+SETTLED, HOLDS = 0.5, HELD[1]
 # Where the first few proposals of features establish no pose, so many times as many are tried.
 MORE = 4
 # What is assumed of points without a partner where σ begins anew.
@@ -196,6 +196,8 @@ def _judged(judge: Judge, ends: list[End], least_held: float = 0.0) -> list[Cand
 
 def _ranked(candidates: list[Candidate]) -> list[Candidate]:
     """Those that may be chosen or rival what is, the best first."""
+    if len(candidates) == 1:
+        return candidates  # whether it holds changes nothing
     ranked: list[Candidate] = []
     best = -math.inf
     for one in sorted(candidates, key=lambda one: -one.evidence):
@@ -226,7 +228,7 @@ def _chosen(near: list[Candidate], pool: list[Candidate], sigma: float) -> tuple
     ranked = _ranked([*near, *pool])
     best = ranked[0]
     at_start = next((one for one in ranked if one in near), None)
-    if at_start is not None:
+    if at_start is not None and at_start is not best:
         wanted = BETTER if best.value >= ESTABLISHED or at_start.value <= 0.0 < best.value else MUCH_BETTER
         if best.value < at_start.value + wanted:
             best = at_start

@@ -75,6 +75,11 @@ class Judge:
             for mixture, seen in zip((source, target), self._seen[::-1], strict=True)
         ]
 
+    @property
+    def too_few(self) -> bool:
+        """Whether the points of either side are no surface."""
+        return min(len(side.points) for side in self.sides) < LEAST_POINTS
+
     @cached_property
     def surfaces(self) -> tuple[Surface, Surface]:
         """Those of its sides."""
@@ -95,9 +100,7 @@ class Judge:
     def held(self, pose: Array) -> float:
         """Of what goes on in one cloud, the share that is on the other at a pose, see `Agreement.held`; 1 of points
         that are too few for a surface."""
-        if min(len(side.points) for side in self.sides) < LEAST_POINTS:
-            return 1.0
-        return agreement(*self.surfaces, pose).held
+        return 1.0 if self.too_few else agreement(*self.surfaces, pose).held
 
     def confidence(self, pose: Array, coarser: float = LENIENT) -> float:
         """The same of one pose as the halves of a cloud are asked, at a scale so many times coarser: by default one at

@@ -22,7 +22,7 @@ import numpy as np
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.result import LEAST_BELIEF, Verdict
-from adagmm_o3d.trust.agreement import LEAST_POINTS, Agreement, Surface, agreement, log_held
+from adagmm_o3d.trust.agreement import Agreement, Surface, agreement, log_held
 from adagmm_o3d.trust.judge import JUDGED, Judge
 from adagmm_o3d.trust.mirror import REFLECTION, MirrorImage, fit_mirror_image
 from adagmm_o3d.trust.repetition import repeats_itself
@@ -50,7 +50,7 @@ def weigh(judge: Judge, pose: Array, *, turned: bool) -> Verdict:
     """What speaks for a pose (4, 4) between the judge's normalised mixtures; `turned` says that their places are
     changed."""
     evidence, sides = judge.confidence(pose), judge.sides
-    if min(len(side.points) for side in sides) < LEAST_POINTS:
+    if judge.too_few:
         return Verdict(evidence)
     source, target = judge.surfaces
     agreed = agreement(source, target, pose)

@@ -8,6 +8,7 @@ from shared_data import shared_data
 
 from adagmm_bench import plots
 from adagmm_bench.cli import main
+from adagmm_bench.color_trial import STARTS, VARIANTS
 from adagmm_bench.commands import ablation, covariance
 from adagmm_bench.commands.kinect import AUTHORS
 from adagmm_bench.commands.options import starts_of
@@ -226,11 +227,35 @@ def test_ablation_undoes_one_choice_at_a_time(tmp_path, monkeypatch, capsys):
     assert main(arguments) == 0
     captured = capsys.readouterr()
     assert "left out the Kinect scenes: data: expected kinect_pairs" in captured.err
+    assert "left out the coloured pairs: data: expected recordings with ground truth" in captured.err
     assert all(f"one choice undone at a time: {group}" in captured.out for group in ("2D", "3D", "sides", "dense"))
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert set(report["summaries"]) == {"2D", "3D", "sides", "dense"}
     assert all({s["method"] for s in group} == set(ablation.NAMES) for group in report["summaries"].values())
     assert all(s["trials"] == 2 for group in report["summaries"].values() for s in group)
+
+
+@pytest.mark.slow
+def test_ablation_undoes_what_is_about_colours_on_recorded_pairs(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(ablation, "NAMES", ("adagmm",))
+    monkeypatch.setattr(ablation, "trial_ids", lambda dimension, **_: [TrialId(dimension, "occlusion", 0.03, 0)])
+    monkeypatch.setattr(ablation, "SIDES", 1)
+    monkeypatch.setattr(ablation, "DENSE_POINTS", (1000,))
+    data = tmp_path / "data"
+    (data / "recordings").mkdir(parents=True)
+    (data / "recordings" / "room").symlink_to(shared_data("recordings", "redwood_open3d_5frames"))
+    arguments = ["ablation", "--workers", "1", "--data", str(data), "--output", str(tmp_path / "out")]
+    assert main(arguments) == 0
+    assert "one choice about colours undone at a time" in capsys.readouterr().out
+    text = (tmp_path / "out" / "report.md").read_text()
+    assert all(f"{start}, {name} | 4/4" in text for start in STARTS for name in VARIANTS)
+    errors: dict[str, set] = {name: set() for name in VARIANTS}
+    for trial in json.loads((tmp_path / "out" / "report.json").read_text())["trials"]:
+        if trial["problem"].get("recording") == "room":
+            errors[trial["method"]].add((trial["start"], trial["problem"]["pair"], trial["rotation_error_deg"]))
+    # each of them changes what comes out
+    assert all(len(found) == 8 for found in errors.values())
+    assert len({frozenset(found) for found in errors.values()}) == len(VARIANTS)
 
 
 @pytest.mark.slow

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from adagmm_bench.color_table import color_rows
 from adagmm_bench.color_trial import NAMES, STARTS, VARIANTS, deviations, disturbed
-from adagmm_bench.commands.color import color_rows, worse_rows
+from adagmm_bench.commands.color import worse_rows
 from adagmm_o3d.evaluation import pose_errors
 from adagmm_o3d.lie import se_exp
 

@@ -1,10 +1,13 @@
-"""`ablation`: what each choice of the default is worth, by undoing one at a time, on all that has a known truth."""
+"""`ablation`: what each choice of the default is worth, by undoing one at a time, on all that has a known truth; those
+about colours on coloured pairs of frames."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
 
+from adagmm_bench.color_table import COLUMNS, color_methods, color_rows, color_text, run_color_trials
+from adagmm_bench.color_trial import VARIANTS
 from adagmm_bench.commands.kinect import found as found_scene
 from adagmm_bench.commands.options import (
     add_trials,
@@ -12,6 +15,7 @@ from adagmm_bench.commands.options import (
     data_folder,
     open_journal,
     placement,
+    usable_frame_pairs,
 )
 from adagmm_bench.extra_pairs import LOST, DenseSurface, OppositeSides, found_part
 from adagmm_bench.methods.ablations import ABLATIONS
@@ -68,9 +72,15 @@ def run(arguments: argparse.Namespace) -> int:
         for trial in range(SIDES)
     ]
     problems["dense"] = [DenseSurface(points) for points in DENSE_POINTS]
+    try:
+        coloured, _ = usable_frame_pairs(arguments)
+    except InputError as error:
+        coloured = []
+        say(printable(f"left out the coloured pairs: {error}"))
     with open_journal(arguments) as journal:
         jobs = [TrialJob(problem, name, START) for group in problems.values() for name in NAMES for problem in group]
         records = run_jobs(jobs, journal, placement(arguments))
+        of_colours = run_color_trials(coloured, tuple(VARIANTS), journal, placement(arguments))
     keys = {group: {problem.key for problem in members} for group, members in problems.items()}
     summaries = {
         group: {s.method: s for s in summarise(_of(records, members), FOUND.get(group, found_in_simulation))}
@@ -86,6 +96,12 @@ def run(arguments: argparse.Namespace) -> int:
         f"translation within 0.1 radii too. Dense: surfaces of {', '.join(map(str, DENSE_POINTS))} points.\n\n"
         f"{table}\n{settings_section(NAMES, [])}"
     )
+    if of_colours:
+        rows = color_rows(of_colours, tuple(VARIANTS))
+        text += (
+            f"\n## What is about colours\n\n{color_text()}\n\n{markdown_table(COLUMNS, rows)}\n"
+            f"{color_methods(tuple(VARIANTS))}"
+        )
     write_text(arguments.output / "report.md", text)
     write_json(
         arguments.output / "report.json",
@@ -93,11 +109,13 @@ def run(arguments: argparse.Namespace) -> int:
             "command": command_line(),
             "machine": machine_note(),
             "summaries": {group: summaries_as_json(members.values()) for group, members in summaries.items()},
-            "trials": records,
+            "trials": records + of_colours,
         },
     )
     for group, members in summaries.items():
         print_table(f"one choice undone at a time: {group}", *ablation_table({group: members}))
+    if of_colours:
+        print_table("one choice about colours undone at a time", COLUMNS, rows)
     print(printable(f"report and every trial: {arguments.output}"))
     return 0
 

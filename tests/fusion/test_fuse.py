@@ -443,3 +443,20 @@ def test_what_the_graph_dropped_counts_as_dropped_however_far_it_is():
         and "| 2 | 0 | 0 | × dropped |\n| 2 | 0 | 700 |  |" in text
     )
     assert "2 registrations used, 1 dropped, 1 refused." in text
+
+
+def test_the_report_says_which_registrations_are_believed_only_together():
+    poses = {i: np.eye(4) for i in range(3)}
+    edges = [
+        Edge(1, 0, poses[1], np.eye(6), False),
+        Edge(2, 0, poses[2], np.eye(6), True, only_together=True),
+        Edge(2, 1, poses[2], np.eye(6), True, only_together=True),
+    ]
+    fused = FusedRecording(poses, dict.fromkeys(poses, "camera"), {}, edges, edges[2:], ends=poses)
+    residuals = edge_residuals(fused)
+    assert [residual.name for residual in residuals] == ["kept", "together", "dropped"]
+    text = fused_report(fused, residuals, {})
+    assert "Of those used 1 are believed only because several say the same" in text
+    assert "| 2 | 0 | 0 | only together |" in text and "| 2 | 1 | 0 | × dropped |" in text
+    plain = FusedRecording(poses, dict.fromkeys(poses, "camera"), {}, edges[:1], ends=poses)
+    assert "say the same" not in fused_report(plain, edge_residuals(plain), {})

@@ -202,9 +202,9 @@ def _estimated(recording: Recording, scene: Any, settings: Any, folder: Path) ->
     loops = sum(edge.loop_closure for edge in used)
     registered = f"registered: {len(used)} of {len(file.edges)}"
     print(f"{registered}; may be wrong: {loops}, of which dropped as wrong: {len(dropped)}")
-    if confirmed := len(used) - sum(edge.usable for edge in file.edges):
+    if together := sum(edge.only_together for edge in used):
         print(
-            f"believed only because several say the same: {confirmed} registrations, which join parts of the recording"
+            f"believed only because several say the same: {together} registrations, which join parts of the recording"
         )
     if len(sets) > 1:
         print(f"frames that hang together: sets of {', '.join(str(len(s)) for s in sets)}; the first is fused")

@@ -12,7 +12,7 @@ from adagmm_fusion.frames.rgbd import RGBDFrame
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh
 from adagmm_fusion.rerun_log import entities
 from adagmm_fusion.rerun_log.cameras import FRUSTUM_DEPTH, log_frustum, log_pose
-from adagmm_fusion.rerun_log.colors import BAD_COLOR, GOOD_COLOR, SOURCE_COLOR, TRUTH_COLOR
+from adagmm_fusion.rerun_log.colors import BAD_COLOR, GOOD_COLOR, SOURCE_COLOR, TOGETHER_COLOR, TRUTH_COLOR
 from adagmm_fusion.rerun_log.entities import FUSED_CAMERA
 from adagmm_fusion.rerun_log.guide import log_guide
 from adagmm_fusion.rerun_log.iterations import LEAST_SHOWN
@@ -66,6 +66,18 @@ class EdgeResidual:
     off_mm: float
     kept: bool
 
+    @property
+    def name(self) -> str:
+        """What it is logged as."""
+        if not self.kept:
+            return "dropped"
+        return "together" if self.edge.only_together else "kept"
+
+    @property
+    def remark(self) -> str:
+        """What the report says of it."""
+        return {"dropped": "× dropped", "together": "only together"}.get(self.name, "")
+
 
 def fused_blueprint(vertices: np.ndarray, poses: Mapping[int, np.ndarray]) -> rrb.Blueprint:
     """The mesh with vertices (N, 3), the ways and the loops; beside it the frames' images, errors and the report.
@@ -81,7 +93,7 @@ def fused_blueprint(vertices: np.ndarray, poses: Mapping[int, np.ndarray]) -> rr
         rrb.Vertical(
             scene("Fused: estimate orange, truth green", ways, whole),
             rrb.Horizontal(
-                scene("Registrations: off yellow, dropped red", loops, way),
+                scene("Registrations: off yellow, together blue, dropped red", loops, way),
                 curve("Off along the way mm, log₁₀", ate),
             ),
             row_shares=[3, 2],
@@ -160,13 +172,17 @@ def fused_report(fused: FusedRecording, residuals: Sequence[EdgeResidual], error
         lines += [f"**ATE {ate:.1f} mm**, root mean square; worst: frame {worst}, {errors_mm[worst]:.0f} mm.", ""]
     if fused.left_out:
         lines += [f"Left out, their pose is not known: {', '.join(map(str, fused.left_out))}.", ""]
+    together = sum(residual.name == "together" for residual in residuals)
     lines += [f"{len(residuals) - dropped} registrations used, {dropped} dropped, {refused} refused.", ""]
+    if together:
+        lines += [f"Of those used {together} are believed only because several say the same; they join parts.", ""]
     if residuals:
-        lines += ["| source | target | off mm |" + " |" * bool(dropped), "|--:|--:|--:|" + ":--|" * bool(dropped)]
+        remarks = bool(dropped or together)
+        lines += ["| source | target | off mm |" + " |" * remarks, "|--:|--:|--:|" + ":--|" * remarks]
         worst_first = sorted(residuals, key=lambda residual: (residual.kept, -residual.off_mm))
         for residual in worst_first[:WORST_SHOWN]:
             row = f"| {residual.edge.source} | {residual.edge.target} | {residual.off_mm:.0f} |"
-            lines.append(row if not dropped else f"{row} {'' if residual.kept else '× dropped'} |")
+            lines.append(f"{row} {residual.remark} |" if remarks else row)
     return "\n".join(lines)
 
 
@@ -199,15 +215,15 @@ def _log_ways(rec: rr.RecordingStream, fused: FusedRecording, aligned: Mapping[i
 
 
 def _log_edges(rec: rr.RecordingStream, fused: FusedRecording, residuals: Sequence[EdgeResidual]) -> None:
-    for name, wanted in (("kept", True), ("dropped", False)):
-        chosen = [residual for residual in residuals if residual.kept == wanted]
+    for name, color in (("kept", None), ("together", TOGETHER_COLOR), ("dropped", BAD_COLOR)):
+        chosen = [residual for residual in residuals if residual.name == name]
         if not chosen:
             continue
         ends = np.array([(residual.edge.source, residual.edge.target) for residual in chosen])
         strips = [[fused.ends[frame][:3, 3] for frame in pair] for pair in ends]
         residual_mm = np.array([residual.off_mm for residual in chosen])
         colors = ramp_colors(residual_mm, MILLIMETRES_PER_METRE * LOOP_TOLERANCE_M, KEPT_RAMP)
-        lines = rr.LineStrips3D(strips, colors=colors if wanted else BAD_COLOR, radii=EDGE_RADIUS)
+        lines = rr.LineStrips3D(strips, colors=color or colors, radii=EDGE_RADIUS)
         numbers = rr.AnyValues(source_frame=ends[:, 0], target_frame=ends[:, 1], residual_mm=residual_mm)
         rec.log(f"{entities.LOOPS}/{name}", lines, numbers, static=True)
 

@@ -38,7 +38,8 @@ the plots is where you are.
 (−1: none) and variance. Features in the images tell how many pixels the end is off at them.
 
 **Fused sequences.** Registrations between frames are grey where they agree with the poses, yellow where they are
-0.25 m off; red ones contradict the others, and the pose graph dropped them.
+0.25 m off; blue ones are believed only because several say the same; red ones contradict the others, and the pose
+graph dropped them.
 
 **Why.** *Who pulls*: dark points count for nothing, bright ones decide. *How far off*: green to red, grey
 without partner. *Who has a partner*: green has one, grey is out of sight, red is contradicted.

@@ -32,6 +32,7 @@ class Edge:
     transformation : (4, 4) T_target_source.    information : (6, 6), as adagmm_o3d.evaluation.information_matrix.
     loop_closure : it may be wrong, and the optimisation may drop it.
     reason : why it cannot be used, or empty. With a pose it is doubtful: by itself it is not believed.
+    only_together : it was doubtful, and is believed because others say the same, see `joining`.
     """
 
     source: int
@@ -40,6 +41,7 @@ class Edge:
     information: np.ndarray | None
     loop_closure: bool
     reason: str = ""
+    only_together: bool = False
 
     @property
     def usable(self) -> bool:

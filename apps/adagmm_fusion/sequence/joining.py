@@ -34,7 +34,7 @@ def joined(edges: Iterable[Edge], frames: Iterable[int]) -> list[Edge]:
         if not confirmed:
             return edges
         for k in confirmed:
-            edges[k] = replace(edges[k], reason="", loop_closure=True)
+            edges[k] = replace(edges[k], reason="", loop_closure=True, only_together=True)
 
 
 def _confirmed(edges: Sequence[Edge], frames: Iterable[int]) -> list[int]:

@@ -107,12 +107,11 @@ def stand_in_covariances(points: Array, normals: Array | None = None, *, epsilon
         return None
     usable = np.zeros(len(points), bool)
     if normals is not None:
-        lengths = np.linalg.norm(normals, axis=1)
-        usable = np.isfinite(lengths) & (lengths > 0.0)
+        usable = np.isfinite(normals).all(axis=1) & normals.any(axis=1)
     if normals is None or not usable.any():
         return estimate_surface_covariances(points, epsilon=epsilon)
     n = np.zeros(points.shape)
-    n[usable] = normals[usable] / lengths[usable, None]
+    n[usable] = unit_vectors("normals", normals[usable], ("N", points.shape[1]))
     if not usable.all() and len(points) > points.shape[1]:
         n[~usable] = _estimate_normals(points, KNN, np.flatnonzero(~usable))
     return _plane_covariances(n, epsilon)

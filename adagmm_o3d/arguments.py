@@ -14,6 +14,9 @@ from adagmm_o3d.errors import InputError, InputTypeError
 Array = NDArray[np.float64]
 Extent = int | str | tuple[int, ...]
 
+LARGEST_COORDINATE = 1e140
+"""Up to here [input units] the squares of coordinates do not overflow."""
+
 
 def float_array(
     name: str, value: Any, shape: tuple[Extent, ...], *, finite: bool = True, booleans: bool = False
@@ -92,6 +95,13 @@ def unit_vectors(name: str, value: Any, shape: tuple[Extent, ...]) -> Array:
         raise InputError(f"{name}: expected non-zero vectors, got length 0 at row {row}; drop that point first")
     vectors = of_moderate_length(vectors)
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def check_coordinates(name: str, values: Array) -> None:
+    """Raise if the squares of coordinates [input units] overflow."""
+    largest = float(np.abs(values).max(initial=0.0))
+    if largest > LARGEST_COORDINATE:
+        raise InputError(f"{name}: expected coordinates up to {LARGEST_COORDINATE:g}, got {largest:g}; rescale")
 
 
 def of_moderate_length(vectors: Array) -> Array:

@@ -339,6 +339,15 @@ def test_covariances_of_clouds(make, side, covariances, error, message):
     check(lambda: registration_adaptive_gmm(**arguments, max_correspondence_distance=0.1), error, f"{side}.{message}")
 
 
+@pytest.mark.parametrize("make", [legacy, lambda points: tensor(points, dtype=core.float64)])
+def test_clouds_whose_squares_overflow(make):
+    check(
+        lambda: registration_adaptive_gmm(make(1e150 * POINTS[3]), make(POINTS[3]), 0.1),
+        InputError,
+        "source.points: expected coordinates up to 1e+140, got ",
+    )
+
+
 def test_covariances_and_normals_that_do_not_match_the_points():
     good = legacy(POINTS[3])
     check(

@@ -64,6 +64,23 @@ def test_objects_are_numbers_where_each_of_them_is_one():
         lie.so_exp([Decimal(0), 10**400, 0])
 
 
+# Normals
+
+
+@pytest.mark.parametrize("dtype", ["int32", "uint8", "bool"])
+@pytest.mark.parametrize("distance", [0.25, np.inf])
+def test_normals_of_whole_numbers(dtype, distance):
+    normals = np.tile(np.array([0, 1, 1], dtype), (len(SOURCE), 1))
+    results = []
+    for kind in (normals, normals.astype(np.float32)):
+        clouds = [o3d.t.geometry.PointCloud(o3d.core.Tensor(points)) for points in (SOURCE, TARGET)]
+        for cloud in clouds:
+            cloud.point.normals = o3d.core.Tensor(kind)
+        results.append(registration_adaptive_gmm(*clouds, distance))
+    np.testing.assert_array_equal(results[0].transformation.numpy(), results[1].transformation.numpy())
+    assert results[0].inlier_rmse == results[1].inlier_rmse and results[0].fitness == results[1].fitness
+
+
 # Single numbers
 
 HALVES = [0.5, np.float32(0.5), np.float16(0.5), np.array(0.5), Decimal("0.5"), Fraction(1, 2), np.array(0.5, object)]

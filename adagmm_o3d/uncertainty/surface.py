@@ -115,9 +115,9 @@ def stand_in_covariances(points: Array, normals: Array | None = None, *, epsilon
     """
     if len(points) < 3 or not (np.abs(points) <= LARGEST_COORDINATE).all():
         return None
-    usable = np.zeros(len(points), bool)
+    usable: NDArray[np.bool_] = np.zeros(len(points), bool)
     if normals is not None:
-        usable = np.isfinite(normals).all(axis=1) & normals.any(axis=1)
+        usable = np.asarray(np.isfinite(normals).all(axis=1) & normals.any(axis=1))
     if normals is None or not usable.any():
         return estimate_surface_covariances(points, epsilon=epsilon)
     n = np.zeros(points.shape)

@@ -13,6 +13,7 @@ import numpy as np
 
 from adagmm_o3d.arguments import float_array, of_moderate_length, real_number, true_or_false, whole_number
 from adagmm_o3d.errors import InputError, InputTypeError
+from adagmm_o3d.kernels.limits import EPSILON
 from adagmm_o3d.lazy_open3d import is_installed, o3d
 
 DEFAULT_MAX_ITERATION = 200
@@ -168,18 +169,19 @@ def surface_thickness(estimation_method: Any) -> float | None:
     """The variance across the surface of covariances that a cloud lacks: `epsilon` of Open3D's method for GICP; None
     where nobody gave any.
 
+    Open3D takes 0, with which covariances are singular, and more than 1, with which no surface is meant: they stand for
+    EPSILON, as with any singular covariance, and for 1.
+
     Raises
     ------
-    InputError : an epsilon that is not in (0, 1].
+    InputError : an epsilon that is below zero or not finite.
     """
     if estimation_method is None or not is_installed():
         return None
     if not isinstance(estimation_method, o3d.pipelines.registration.TransformationEstimationForGeneralizedICP):
         return None
-    epsilon = real_number("estimation_method.epsilon", estimation_method.epsilon, above=0.0)
-    if epsilon > 1.0:
-        raise InputError(f"estimation_method.epsilon: expected at most 1, got {epsilon:g}")
-    return epsilon
+    epsilon = real_number("estimation_method.epsilon", estimation_method.epsilon, minimum=0.0)
+    return min(epsilon, 1.0) if epsilon > 0.0 else EPSILON
 
 
 def _robust_kernel(method: Any) -> str | None:

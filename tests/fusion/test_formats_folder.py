@@ -155,6 +155,15 @@ def test_poses_in_whatever_file_and_whichever_way_round(tmp_path, name, meant):
         np.testing.assert_allclose(entry.T_world_camera, pose, rtol=0, atol=1e-9)
 
 
+def test_a_pose_near_in_time_is_of_the_nearest_frame_only(tmp_path):
+    """Poses that are rarer than frames: those between have none, and not their neighbour's."""
+    layout(tmp_path, "color/{t:.6f}.png", "depth/{t:.6f}.png")
+    quaternion = "0 0 0 0 0 0 1"
+    write_text(tmp_path / "trajectory.txt", f"{1e9 + 0.006:.6f} {quaternion}\n{1e9 + 0.066:.6f} {quaternion}\n")
+    poses = [entry.T_world_camera is not None for entry in open_recording(tmp_path).entries]
+    assert poses == [True, False, True]
+
+
 def test_a_pose_file_a_frame_and_names_that_say_which_way(tmp_path):
     layout(tmp_path)
     (tmp_path / "w2c").mkdir()

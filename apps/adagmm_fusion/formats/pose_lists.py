@@ -15,7 +15,7 @@ import numpy as np
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import inside
-from adagmm_fusion.formats.image_lists import number_of
+from adagmm_fusion.formats.image_lists import NUMBER, number_of
 from adagmm_fusion.formats.text_table import parse_numbers, parse_pose, parse_quaternion_pose, read_rows
 from adagmm_fusion.formats.time_units import units_per_second
 
@@ -130,21 +130,33 @@ def _one_file(path: Path, images: Sequence[Path]) -> list[np.ndarray | None] | N
         if len(poses) != len(images):
             raise RecordingError(f"{path}: expected {len(images)} poses, as there are frames, got {len(poses)}")
         return list(poses)
-    return _matched([row[0] for row in numbers], poses, [number_of(image) for image in images])
+    return _matched([row[0] for row in numbers], poses, images)
 
 
-def _matched(keys: list[float], poses: list[np.ndarray], wanted: list[float | None]) -> list[np.ndarray | None]:
-    """The pose of each frame by the number in its name, else the nearest in time."""
+def _matched(keys: list[float], poses: list[np.ndarray], images: Sequence[Path]) -> list[np.ndarray | None]:
+    """The pose of each frame by the last number in its name, or the first (Redwood has the time behind it); else the
+    nearest in time."""
     exact = dict(zip(keys, poses, strict=True))
-    if sum(number in exact for number in wanted) * 2 >= len(wanted):
-        return [exact.get(np.nan if number is None else number) for number in wanted]
+    wanted = [number_of(image) for image in images]
+    for numbers in (wanted, [_first_number(image) for image in images]):
+        if sum(number in exact for number in numbers) * 2 >= len(numbers):
+            return [exact.get(np.nan if number is None else number) for number in numbers]
     known = [number for number in wanted if number is not None]
     if not known:
         return [None] * len(wanted)
     times, units = np.array(keys) / units_per_second(keys), units_per_second(known)
-    found: list[np.ndarray | None] = []
-    for number in wanted:
+    nearest_frames: dict[int, tuple[float, int]] = {}  # a pose is of one frame, the next ones have another
+    for i, number in enumerate(wanted):
         gaps = np.abs(times - (np.inf if number is None else number / units))
         nearest = int(gaps.argmin())
-        found.append(poses[nearest] if gaps[nearest] <= MAX_GAP_S else None)
+        if gaps[nearest] <= MAX_GAP_S:
+            nearest_frames[nearest] = min(nearest_frames.get(nearest, (np.inf, 0)), (float(gaps[nearest]), i))
+    found: list[np.ndarray | None] = [None] * len(wanted)
+    for nearest, (_, i) in nearest_frames.items():
+        found[i] = poses[nearest]
     return found
+
+
+def _first_number(image: Path) -> float | None:
+    found = NUMBER.search(image.stem)
+    return None if found is None else float(found[0])

@@ -5,7 +5,7 @@ import pickle
 import cv2
 import numpy as np
 import pytest
-from depth_scene import camera_pose, write_images, write_pose_file, write_redwood
+from depth_scene import camera_pose, write_images, write_pose_file
 
 from adagmm_fusion.errors import RecordingError, RigError
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
@@ -311,10 +311,9 @@ def test_what_is_no_recording(tmp_path):
 def test_two_formats_in_one_folder_must_be_told_apart(tmp_path):
     poses = [POSES["left"], POSES["right"]]
     write_pose_file(tmp_path, poses, INTRINSICS)
-    write_redwood(tmp_path / "other", poses, INTRINSICS)
-    for name in ("color", "trajectory.log", "camera_intrinsic.json"):
-        (tmp_path / "other" / name).rename(tmp_path / name)
-    with pytest.raises(RecordingError, match="could be redwood or posefile; say which"):
+    for name in ("rgb.txt", "depth.txt"):
+        (tmp_path / name).write_text("")
+    with pytest.raises(RecordingError, match="could be tum or posefile; say which"):
         open_recording(tmp_path)
     assert open_recording(tmp_path, format="posefile").format == "posefile"
 

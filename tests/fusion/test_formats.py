@@ -214,6 +214,14 @@ def test_tum_quaternion_must_be_a_unit_one(tum):
     refused(tum, r"groundtruth\.txt:1: expected a unit quaternion")
 
 
+def test_tum_comment_that_names_the_columns_counts(tum):
+    expected = open_recording(tum).entries[1].T_world_camera
+    lines = (tum / "groundtruth.txt").read_text().splitlines()[1:]
+    moved = [" ".join((*words[:4], words[7], *words[4:7])) for words in map(str.split, lines)]
+    (tum / "groundtruth.txt").write_text("\n".join(["# timestamp tx ty tz qw qx qy qz", *moved]) + "\n")
+    np.testing.assert_allclose(open_recording(tum).entries[1].T_world_camera, expected, rtol=0, atol=1e-9)
+
+
 def test_tum_of_an_unknown_sensor_needs_a_rig(tmp_path):
     folder = tmp_path / "desk"
     write_tum(folder, POSES[:2], SMALL)
@@ -353,6 +361,13 @@ def test_redwood_log_of_a_program_is_no_trajectory(redwood):
 def test_redwood_frames_must_have_partners(redwood):
     next(redwood.glob("depth/00001-*")).unlink()
     refused(redwood, r"no pair of frames .*; left out, without their depth image: 00001$", step=2)
+
+
+def test_pose_file_line_of_nan_is_no_pose(tmp_path):
+    write_pose_file(tmp_path, POSES, SMALL)
+    lines = (tmp_path / "poses.txt").read_text().splitlines()
+    (tmp_path / "poses.txt").write_text("\n".join([lines[0], "nan " * 16, lines[2]]))
+    assert [entry.T_world_camera is None for entry in open_recording(tmp_path).entries] == [False, True, False]
 
 
 @pytest.mark.parametrize("kind", ["color", "depth"])

@@ -68,7 +68,7 @@ def pair_images(lists: ImageLists) -> list[tuple[str, Path, Path]]:
         unique = len(colors) == len(lists.colors) and len(depths) == len(lists.depths)
         if unique and 2 * len(common) >= min(len(colors), len(depths)):
             return sorted(
-                ((depths[name].stem, colors[name], depths[name]) for name in common), key=lambda f: _order(f[2])
+                ((depths[name].stem, colors[name], depths[name]) for name in common), key=lambda f: in_order(f[2])
             )
     return _paired_by_time(lists)
 
@@ -113,7 +113,8 @@ def _last_number(path: Path) -> int | None:
     return int(found[-1][-18:]) if found else None
 
 
-def _order(path: Path) -> tuple[float, str]:
+def in_order(path: Path) -> tuple[float, str]:
+    """What images are sorted by: the number in the name."""
     number = number_of(path)
     return (np.inf if number is None else number, path.name)
 
@@ -138,4 +139,4 @@ def _paired_by_time(lists: ImageLists) -> list[tuple[str, Path, Path]]:
         if gap <= MAX_GAP_S and color not in used:
             used.add(color)
             frames.append((times[1][depth][1].stem, times[0][color][1], times[1][depth][1]))
-    return sorted(frames, key=lambda frame: _order(frame[2]))
+    return sorted(frames, key=lambda frame: in_order(frame[2]))

@@ -4,8 +4,9 @@
     associations.txt        optional: lines "timestamp path timestamp path", colour and depth in either order, told
                             apart by depth.txt or the folder name depth/; without it the nearest stamps within 20 ms
                             are associated
-    groundtruth.txt         optional: lines "timestamp tx ty tz qx qy qz qw", camera to world, metres; interpolated at
-                            the depth stamp (linear, slerp) where the samples around it are at most 0.1 s apart
+    groundtruth.txt         optional: lines "timestamp tx ty tz qx qy qz qw", or as a comment above names the columns,
+                            camera to world, metres; interpolated at the depth stamp (linear, slerp) where the samples
+                            around it are at most 0.1 s apart
     pairs.txt               optional: lines "source_depth_stamp target_depth_stamp"
 
 Times are seconds; whole numbers that must be milli-, micro- or nanoseconds, by their size or distance, are taken so.
@@ -26,6 +27,7 @@ from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import inside, load_frame
 from adagmm_fusion.files.input_file import is_given, read_input_text
 from adagmm_fusion.formats.options import ReadOptions
+from adagmm_fusion.formats.pose_columns import in_usual_order, quaternion_columns
 from adagmm_fusion.formats.text_table import parse_numbers, read_rows
 from adagmm_fusion.formats.time_units import units_per_second
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
@@ -134,8 +136,9 @@ def _poses_at(path: Path, stamps: np.ndarray) -> list[np.ndarray | None]:
     """T_world_camera at each time, None outside the trajectory and in its gaps."""
     if not is_given(path):
         return [None] * len(stamps)
-    rows = []
+    rows, columns = [], quaternion_columns(path)
     for where, words in read_rows(path):
+        words = in_usual_order(words, columns, where)
         numbers = parse_numbers(words, 8, where)
         if abs(np.linalg.norm(numbers[4:]) - 1) > 0.01:
             raise RecordingError(f"{where}: expected a unit quaternion qx qy qz qw, got {' '.join(words[4:])}")

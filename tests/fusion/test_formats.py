@@ -214,6 +214,22 @@ def test_tum_quaternion_must_be_a_unit_one(tum):
     refused(tum, r"groundtruth\.txt:1: expected a unit quaternion")
 
 
+@pytest.mark.parametrize(
+    ("format", "place"), [("tum", "K.txt"), ("7scenes", "K.txt"), ("7scenes", "../camera-intrinsics.txt")]
+)
+def test_intrinsics_in_a_folder_of_a_known_camera_count(tmp_path, format, place):
+    """They were passed over, and the data set's numbers taken."""
+    folder = tmp_path / "freiburg1"
+    FORMATS[format][0](folder, POSES[:2], SMALL)
+    np.savetxt(folder / place, SMALL.matrix())
+    recording = open_recording(folder)
+    assert recording.format == format and recording[0].source.intrinsics == SMALL
+    assert recording.notes == (f"the intrinsics are those of {place.removeprefix('../')}",)
+    np.savetxt(folder / "K.txt", SMALL.matrix())
+    np.savetxt(folder / "intrinsics.txt", VGA.matrix())
+    refused(folder, "expected the camera matrix and distortion of .*; keep one of the two files")
+
+
 def test_tum_comment_that_names_the_columns_counts(tum):
     expected = open_recording(tum).entries[1].T_world_camera
     lines = (tum / "groundtruth.txt").read_text().splitlines()[1:]

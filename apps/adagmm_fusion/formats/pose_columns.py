@@ -54,7 +54,7 @@ def in_usual_order(words: Sequence[str], columns: Sequence[str] | None, where: s
         if named[-1] - named[0] == 6:
             columns = ["key"] * (len(words) - 7) + list(columns[named[0] : named[-1] + 1])
     if len(columns) != len(words):
-        raise RecordingError(f"{where}: expected {len(columns)} numbers, got {len(words)} words; there are so many headings")
+        raise RecordingError(f"{where}: expected {len(columns)} numbers, got {len(words)} words, unlike the headings")
     usual = [columns.index(f"{role} {axis}") for role, axes in AXES.items() for axis in axes]
     key = [i for i in range(len(words)) if i not in usual][:1]
     return [words[i] for i in (*key, *usual)]

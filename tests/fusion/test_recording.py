@@ -57,6 +57,13 @@ def test_fixed_sensors_pair_with_the_first_one(fixed):
     np.testing.assert_allclose(pair.T_target_source, se_inverse(POSES["left"]) @ POSES["right"], rtol=0, atol=1e-15)
 
 
+def test_frames_without_a_depth_image_of_the_first_sensor_are_said(fixed):
+    (fixed / "left" / "depth" / "000001.png").unlink()
+    recording = open_recording(fixed)
+    assert [entry.name for entry in recording.entries] == ["000000"] * 2
+    assert recording.notes == ("left out, without their depth image of left: 000001",)
+
+
 def test_frames_with_timestamps_and_pairs_across_time(fixed):
     (fixed / "recording.yaml").write_text(
         HEAD + "motion: fixed\nsensors: [left, right]\nframes:\n"

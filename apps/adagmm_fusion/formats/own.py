@@ -57,8 +57,9 @@ def read(folder: Path, options: ReadOptions) -> Recording:
     sensors = _read_sensors(keys["sensors"])
     rig = options.rig if options.rig is not None else load_rig(_find_rig(folder, keys["rig"]))
     calibrations = [rig.sensor(name) for name in sensors]
+    notes: tuple[str, ...] = ()
     if "frames" in keys:
-        frames, notes = _read_frames(keys["frames"], sensors, moving), ()
+        frames = _read_frames(keys["frames"], sensors, moving)
     else:
         frames, notes = _find_frames(folder, sensors, moving)
     if len(frames) * len(calibrations) > MAX_IMAGES:

@@ -68,13 +68,13 @@ def read(folder: Path, options: ReadOptions) -> Recording:
     names = sorted(colors.keys() | depths.keys(), key=_by_number)
     poses = _read_trajectory(folder, len(names), notes)
     images = {
-        name: [inside(folder, str(p[name].relative_to(folder)), str(folder)) for p in (colors, depths)]
+        name: tuple(inside(folder, str(p[name].relative_to(folder)), str(folder)) for p in (colors, depths))
         for name in names
         if name in colors and name in depths
     }
     intrinsics, depth_scale = _read_intrinsics(folder, next(iter(images.values()))[1], options, notes)
     frames = [
-        ListedFrame(name, *images[name], intrinsics, depth_scale, poses.get(i))
+        ListedFrame(name, images[name][0], images[name][1], intrinsics, depth_scale, poses.get(i))
         for i, name in enumerate(names)
         if name in images
     ]

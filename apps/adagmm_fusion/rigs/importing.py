@@ -214,20 +214,21 @@ def _ros_camera(path: Path) -> Calibration:
             raise RigError(f"{path}: expected a ROS camera_info or OpenCV calibration, there is no {names[0]}")
         return item
 
-    said = {name: _scalar(item) for name, item in plain.items() if isinstance(item.value, str)}
+    said = {name: value for name, item in plain.items() if (value := _scalar(item)) is not None}
     depth_scale = _depth_scale(path, said)
     size = _ros_size(plain)
     by_name = _named_values({name: value for name, value in said.items() if isinstance(value, float)}, 1)
     if by_name is not None and find("camera_matrix", "K", "k") is None:
-        K, lens, read = by_name
+        K, coefficients, read = by_name
         unread = [key for key in keys if plain_name(key) not in read and SPEAKS_OF_DISTORTION.search(key)]
         if unread:
             keys[unread[0]].fail(
                 "is it the lens distortion? It is not read under this name; call it k1, k2, p1, p2, k3"
             )
-        if problem := other_lens_model(said, bool(lens.any())):
+        if problem := other_lens_model(said, bool(coefficients.any())):
             raise RigError(f"{path}: {problem}")
-        return Calibration(_matrix(path, K), size, tuple(lens.tolist()) if lens.any() else (), depth_scale)
+        lens = tuple(coefficients.tolist()) if coefficients.any() else ()
+        return Calibration(_matrix(path, K), size, lens, depth_scale)
     if size is None:
         need("image_width", "width")
         need("image_height", "height")
@@ -262,7 +263,10 @@ def _depth_scale(path: Path, said: Mapping[str, float | str]) -> float | None:
     return depth_scale_of({name.rpartition(".")[2]: value for name, value in said.items()}, str(path), RigError)
 
 
-def _scalar(item: Item) -> float | str:
+def _scalar(item: Item) -> float | str | None:
+    """A number or a text; None where it is a list or a mapping."""
+    if not isinstance(item.value, str):
+        return None
     return float(item.value) if NUMBER.fullmatch(item.value) and not item.quoted else item.value
 
 

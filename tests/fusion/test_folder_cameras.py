@@ -253,3 +253,21 @@ def test_a_fisheye_in_orb_slams_file_is_refused(tmp_path):
     (tmp_path / "camera.yaml").write_text("%YAML:1.0\n---\n" + ORB.replace("PinHole", "KannalaBrandt8"))
     with pytest.raises(RecordingError, match=r"camera\.type: expected plumb_bob or rational_polynomial, got"):
         read_camera_file(tmp_path / "camera.yaml")
+
+
+@pytest.mark.parametrize(
+    ("values", "match"),
+    [
+        ({"cx": 10**400}, "expected finite|principal point|cx"),
+        ({"depth_scale": 10**400}, "depthscale: expected a positive number"),
+        ({"width": 10**400, "height": 1}, "expected an image size in pixels"),
+    ],
+)
+def test_whole_numbers_beyond_all_bounds_are_refused(recorded, values, match):
+    refused(recorded, {"k.json": NAMED | values}, match)
+
+
+def test_many_cameras_in_a_file_are_refused_in_no_time(recorded):
+    many = {str(i): NAMED | {"fx": 140.0 + i} for i in range(5000)}
+    refused(recorded, {"k.json": many}, "the intrinsics of 5000 cameras")
+    assert intrinsics(recorded({"k.json": dict.fromkeys(map(str, range(5000)), NAMED)})) == SMALL

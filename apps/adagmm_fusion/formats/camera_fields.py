@@ -67,9 +67,8 @@ def camera_fields(document: Any, where: str) -> list[CameraFields]:
     """
     fields = list(_fields(document, None, (), 0))
     places: dict[str | None, list[tuple[str, ...]]] = {}
-    for field in fields:
-        if _is_focal(field) and field.path not in places.setdefault(field.role, []):
-            places[field.role].append(field.path)
+    for role, path in dict.fromkeys((field.role, field.path) for field in fields if _is_focal(field)):
+        places.setdefault(role, []).append(path)
     for role, paths in places.items():
         places[role] = _different(fields, role, paths)
     found = [(role, path) for role, paths in places.items() for path in paths]
@@ -125,10 +124,13 @@ def _is_focal(field: _Field) -> bool:
 
 def _different(fields: list[_Field], role: str | None, paths: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
     """The places of a role's cameras without those that repeat another, word by word."""
+    below: dict[tuple[str, ...], list[tuple[str, str]]] = {path: [] for path in sorted(paths, key=len)}
+    for field in fields:
+        for length in range(len(field.path) + 1) if field.role == role else ():
+            below.get(field.path[:length], []).append((field.name, repr(field.value)))
     kept: dict[str, tuple[str, ...]] = {}
-    for path in sorted(paths, key=len):
-        below = sorted((f.name, repr(f.value)) for f in fields if f.role == role and f.path[: len(path)] == path)
-        kept.setdefault(repr(below), path)
+    for path, content in below.items():
+        kept.setdefault(repr(sorted(content)), path)
     return list(kept.values())
 
 

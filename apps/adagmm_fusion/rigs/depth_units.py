@@ -1,6 +1,5 @@
 """How many units of a depth image a metre has, as calibration files say it."""
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,6 +11,7 @@ SCALES = ("depthscale", "depthfactor", "depthmapfactor", "pngdepthscale", "integ
 UNITS = ("depthunits", "depthunit", "depthunitscalefactor")
 NAMED = {"m": 1.0, "meter": 1.0, "metre": 1.0, "mm": 1e3, "millimeter": 1e3, "millimetre": 1e3, "cm": 1e2}
 SAME = 1e-6
+LEAST = 1e-9  # of units a metre, or metres a unit; the most is its inverse
 
 
 def depth_scale_of(values: Mapping[str, Any], where: str, error: type[InputError]) -> float | None:
@@ -29,7 +29,7 @@ def depth_scale_of(values: Mapping[str, Any], where: str, error: type[InputError
         if isinstance(value, str) and value.strip().lower().removesuffix("s") in NAMED:
             found[name] = NAMED[value.strip().lower().removesuffix("s")]
             continue
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not LEAST < value < 1 / LEAST:
             raise error(f"{where}: {name}: expected a positive number, got {str(value)[:40]}")
         if name in UNITS and value > 1:
             raise error(f"{where}: {name}: expected metres a unit, as 0.001 for millimetres, got {value:g}")

@@ -1,8 +1,10 @@
 """Argument checks: each raises one line that names the argument, what was wanted, what came and what to do."""
 
 import math
-from numbers import Integral, Real
-from typing import Any
+import operator
+from decimal import Decimal
+from numbers import Real
+from typing import Any, SupportsFloat, SupportsIndex
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,16 +14,22 @@ from adagmm_o3d.errors import InputError, InputTypeError
 Array = NDArray[np.float64]
 Extent = int | str | tuple[int, ...]
 
+LARGEST_COORDINATE = 1e140
+"""Up to here [input units] the squares of coordinates do not overflow."""
 
-def float_array(name: str, value: Any, shape: tuple[Extent, ...], *, finite: bool = True) -> Array:
+
+def float_array(
+    name: str, value: Any, shape: tuple[Extent, ...], *, finite: bool = True, booleans: bool = False
+) -> Array:
     """`value` as a contiguous float64 array of the wanted shape.
 
     Parameters
     ----------
     name : what the error calls it.
-    value : anything NumPy reads as real numbers: arrays, lists, Open3D vectors.
+    value : anything NumPy reads as real numbers: arrays, lists, Open3D vectors, also of Python's own numbers.
     shape : one entry per axis: an int (exactly that), a tuple of ints (one of them) or a str (any; the error shows it).
     finite : refuse NaN and infinity.
+    booleans : take them for 0 and 1, as in np.eye(4, dtype=bool); among points they are a mask put in the wrong place.
 
     Returns
     -------
@@ -39,7 +47,9 @@ def float_array(name: str, value: Any, shape: tuple[Extent, ...], *, finite: boo
     except (TypeError, ValueError):
         got = f"a ragged {type(value).__name__}"
         raise InputTypeError(f"{name}: expected an array of real numbers, got {got}") from None
-    if array.dtype.kind not in "fiu":
+    if array.dtype == object and all(isinstance(entry, (Real, Decimal)) for entry in array.flat):
+        array = _as_floats(array)
+    if array.dtype.kind not in ("fiub" if booleans else "fiu"):
         got = f"dtype {array.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
         raise InputTypeError(f"{name}: expected an array of real numbers, got {got}")
     if array.ndim != len(shape) or not all(map(_fits, array.shape, shape)):
@@ -79,11 +89,28 @@ def unit_vectors(name: str, value: Any, shape: tuple[Extent, ...]) -> Array:
     InputError                  if a row has zero length (the first one is named).
     """
     vectors = float_array(name, value, shape)
-    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    if not np.all(lengths > 0.0):
-        row = int(np.flatnonzero(lengths[..., 0] == 0.0)[0])
+    zero = ~vectors.any(axis=-1)
+    if zero.any():
+        row = int(np.flatnonzero(zero)[0])
         raise InputError(f"{name}: expected non-zero vectors, got length 0 at row {row}; drop that point first")
-    return vectors / lengths
+    vectors = of_moderate_length(vectors)
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def check_coordinates(name: str, values: Array) -> None:
+    """Raise if the squares of coordinates [input units] overflow."""
+    largest = float(np.abs(values).max(initial=0.0))
+    if largest > LARGEST_COORDINATE:
+        raise InputError(f"{name}: expected coordinates up to {LARGEST_COORDINATE:g}, got {largest:g}; rescale")
+
+
+def of_moderate_length(vectors: Array) -> Array:
+    """Finite vectors (..., D), each times a power of two that brings its largest component near 1.
+
+    Then no square overflows or vanishes, and no digit has changed.
+    """
+    _, exponents = np.frexp(np.abs(vectors).max(axis=-1, keepdims=True, initial=0.0))
+    return np.asarray(np.ldexp(vectors, -exponents), np.float64)
 
 
 def real_number(name: str, value: Any, *, minimum: float = -math.inf, above: float = -math.inf) -> float:
@@ -91,14 +118,12 @@ def real_number(name: str, value: Any, *, minimum: float = -math.inf, above: flo
 
     Raises
     ------
-    InputTypeError  if it is not a real number (bool is not one).
+    InputTypeError  if it is not one real number (bool is not one).
     InputError      if it is NaN, infinite or out of range.
     """
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (Real, np.floating, np.integer)):
-        raise InputTypeError(f"{name}: expected a real number, got {type(value).__name__}")
-    number = float(value)
+    limit = f" > {above:g}" if above > -math.inf else f" >= {minimum:g}" if minimum > -math.inf else ""
+    number = _one_float(name, value, limit)
     if not math.isfinite(number) or number < minimum or number <= above:
-        limit = f" > {above:g}" if above > -math.inf else f" >= {minimum:g}" if minimum > -math.inf else ""
         raise InputError(f"{name}: expected a finite number{limit}, got {number:g}")
     return number
 
@@ -108,12 +133,11 @@ def distance_limit(name: str, value: Any) -> float:
 
     Raises
     ------
-    InputTypeError  if it is not a real number (bool is not one).
-    InputError      if it is NaN, zero or negative.
+    InputTypeError  if it is not one real number (bool is not one).
+    InputError      if it is NaN, zero, negative or too large for a float.
     """
-    if isinstance(value, (float, np.floating)) and value == math.inf:
-        return math.inf
-    return real_number(name, value, above=0.0)
+    number = _one_float(name, value, " > 0")
+    return number if number == math.inf else real_number(name, number, above=0.0)
 
 
 def whole_number(name: str, value: Any, *, minimum: int) -> int:
@@ -124,11 +148,62 @@ def whole_number(name: str, value: Any, *, minimum: int) -> int:
     InputTypeError  if it is not an integer (bool and 3.0 are not).
     InputError      if it is too small.
     """
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (Integral, np.integer)):
-        raise InputTypeError(f"{name}: expected an integer, got {type(value).__name__}")
-    if value < minimum:
-        raise InputError(f"{name}: expected an integer >= {minimum}, got {int(value)}")
-    return int(value)
+    try:
+        if isinstance(value, (bool, np.bool_)):
+            raise TypeError
+        number = operator.index(value)
+    except TypeError:
+        raise InputTypeError(f"{name}: expected an integer, got {_kind(value)}") from None
+    if number < minimum:
+        raise InputError(f"{name}: expected an integer >= {minimum}, got {number}")
+    return number
+
+
+def true_or_false(name: str, value: Any) -> bool:
+    """`value` as a bool.
+
+    Raises
+    ------
+    InputTypeError  if it is neither Python's nor NumPy's.
+    """
+    if not isinstance(value, (bool, np.bool_)):
+        raise InputTypeError(f"{name}: expected a bool, got {_kind(value)}")
+    return bool(value)
+
+
+def _one_float(name: str, value: Any, limit: str) -> float:
+    """`value` as a float: what says itself that it is one real number, such as Decimal or an array without axes."""
+    _refuse_masked(name, value)
+    # NumPy would make a float of an array with one entry, of True and, with a warning, of a complex number.
+    array = value if isinstance(value, (np.ndarray, np.generic)) else None
+    one = array is None or (array.ndim == 0 and array.dtype.kind in "fiuO")
+    try:
+        if not one or isinstance(value, bool) or not isinstance(value, (SupportsFloat, SupportsIndex)):
+            raise TypeError
+        return float(value)
+    except OverflowError:
+        raise InputError(f"{name}: expected a finite number{limit}, got one too large for a float") from None
+    except (TypeError, ValueError, RuntimeError):
+        raise InputTypeError(f"{name}: expected a real number, got {_kind(value)}") from None
+
+
+def _as_floats(array: NDArray[Any]) -> Array:
+    """An array of Python's numbers as floats; one too large for a float becomes infinite, and is refused as that."""
+
+    def number(entry: Any) -> float:
+        try:
+            return float(entry)
+        except OverflowError:
+            return math.inf
+
+    return np.array([number(entry) for entry in array.flat], np.float64).reshape(array.shape)
+
+
+def _kind(value: Any) -> str:
+    """What an error calls a value that is not of the kind that was wanted."""
+    if isinstance(value, np.ndarray):
+        return f"an array of shape {_shown(value.shape)}" if value.ndim else f"an array of dtype {value.dtype}"
+    return type(value).__name__
 
 
 def _refuse_masked(name: str, value: Any) -> None:

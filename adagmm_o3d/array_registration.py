@@ -66,10 +66,11 @@ def register_points(
     source_viewpoint, target_viewpoint : (D,) from where each cloud was seen, in its own frame and unit, e.g. zeros for
         a cloud in its camera's frame; None where that is not known. What a sensor has seen through cannot be where the
         other cloud's points come to lie, which decides where shape alone does not. In 2D they are checked and not used.
-    source_colors, target_colors : (M, 3) and (N, 3) sRGB, 0 to 1 or as uint8 0 to 255; or (M,) and (N,), or with one
-        column, intensities of any unit. Both or neither; where they are given they are looked at: points whose colours
-        are alike are likelier to be the same place. How far two looks at a place differ, the share of colours that lie
-        and what one sensor makes of the other's colours are estimated, see `PointRegistrationResult.color`.
+    source_colors, target_colors : (M, 3) and (N, 3) sRGB, 0 to 1 (what is beyond by up to 0.05 is cut off) or as uint8
+        0 to 255; or (M,) and (N,), or with one column, intensities of any unit. Both or neither; where they are given
+        they are looked at: points whose colours are alike are likelier to be the same place. How far two looks at a
+        place differ, the share of colours that lie and what one sensor makes of the other's colours are estimated, see
+        `PointRegistrationResult.color`.
     callback_after_iteration : called after each EM iteration with a dictionary, see `registration_adaptive_gmm`.
 
     Returns

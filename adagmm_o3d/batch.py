@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 # How often a thread that only waits looks whether it was interrupted [s].
 LOOK_S = 0.2
+# Where the pair of a tuple has its `max_correspondence_distance`.
+DISTANCE = 2
 
 
 def register_batch(
@@ -38,8 +40,8 @@ def register_batch(
     Parameters
     ----------
     pairs : each a tuple of what its door takes, (source, target) or more, or a dictionary of that by name. Arrays go to
-        `register_points`, Open3D's clouds to `registration_adaptive_gmm`; a cloud that is in many pairs is best
-        prepared, see `prepare`.
+        `register_points`, Open3D's clouds to `registration_adaptive_gmm`, which needs a `max_correspondence_distance`;
+        a cloud that is in many pairs is best prepared, see `prepare`.
     threads : pairs at a time; None for one on each core that Numba may use. What cores there are more, they share.
     device : as in `register_points`. Other than "cpu", pairs are registered one after another.
     arguments : what all pairs have in common, e.g. `max_correspondence_distance` or `criteria`; what a pair says itself
@@ -52,7 +54,8 @@ def register_batch(
 
     Raises
     ------
-    InputTypeError, InputError, DeviceError : what is no pair, or an argument out of its range.
+    InputTypeError, InputError, DeviceError : what is no pair, clouds without a `max_correspondence_distance`, or an
+        argument out of its range.
     """
     check_device(device)
     if not isinstance(pairs, Iterable):
@@ -79,6 +82,11 @@ def _job(name: str, pair: Any, arguments: dict[str, Any]) -> Callable[[], Regist
     if named["device"] != arguments["device"]:
         raise InputTypeError(f"{name}: expected no device of its own; give register_batch() one for all")
     clouds = is_installed() and kind_of(source) in ("legacy", "tensor")
+    if clouds and len(given) <= DISTANCE and "max_correspondence_distance" not in named:
+        raise InputTypeError(
+            f"{name}: expected max_correspondence_distance for Open3D's clouds, got none; give it to the pair, third "
+            "in a tuple, or to register_batch()"
+        )
     door: Callable[..., Registered] = registration_adaptive_gmm if clouds else register_points
     return partial(door, *given, **named)
 

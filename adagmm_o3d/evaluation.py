@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adagmm_o3d import lie
-from adagmm_o3d.arguments import Array, distance_limit, float_array
+from adagmm_o3d.arguments import Array, check_coordinates, distance_limit, float_array
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.neighbors import NeighborIndex
 
@@ -246,7 +246,10 @@ def _clouds(source_points: ArrayLike, target_points: ArrayLike) -> tuple[Array, 
     source = float_array("source_points", source_points, ("M", (2, 3)))
     if len(source) == 0:
         raise InputError("source_points: expected at least one point, got none")
-    return source, float_array("target_points", target_points, ("N", source.shape[1]))
+    target = float_array("target_points", target_points, ("N", source.shape[1]))
+    check_coordinates("source_points", source)
+    check_coordinates("target_points", target)
+    return source, target
 
 
 def _nearest(source: Array, target: Array, transformation: ArrayLike) -> tuple[NDArray[np.int64], Array]:
@@ -258,5 +261,6 @@ def _nearest(source: Array, target: Array, transformation: ArrayLike) -> tuple[N
             f"transformation: expected shape ({size}, {size}) for points in {source.shape[1]}D, "
             f"got {np.shape(transformation)}"
         )
+    check_coordinates("transformation", translation)
     indices, squares = NeighborIndex(target, name="target_points").query(source @ rotation.T + translation)
     return indices[:, 0], squares[:, 0]

@@ -22,6 +22,8 @@ from adagmm_o3d.errors import InputError
 
 ROTATION_TOLERANCE = 1e-6
 """Largest entry of RᵀR − I that still counts as a rotation; float32 matrices pass."""
+LAST_ROW_TOLERANCE = 1e-6
+"""By how much an entry of a transformation's last row may differ from (0, …, 0, 1): inverses and fits are rounded."""
 
 
 def hat(omega: ArrayLike) -> Array:
@@ -81,8 +83,9 @@ def so_exp(omega: ArrayLike) -> Array:
     ------
     InputTypeError, InputError  as `hat`.
     """
-    k = hat(omega)
-    sine, versine, _ = _coefficients(float(np.linalg.norm(omega)))
+    w = float_array("omega", omega, ((1, 3),))
+    k = hat(w)
+    sine, versine, _ = _coefficients(float(np.linalg.norm(w)))
     return np.eye(len(k)) + sine * k + versine * (k @ k)
 
 
@@ -129,8 +132,9 @@ def so_left_jacobian(omega: ArrayLike) -> Array:
     ------
     InputTypeError, InputError  as `hat`.
     """
-    k = hat(omega)
-    _, versine, rest = _coefficients(float(np.linalg.norm(omega)))
+    w = float_array("omega", omega, ((1, 3),))
+    k = hat(w)
+    _, versine, rest = _coefficients(float(np.linalg.norm(w)))
     return np.eye(len(k)) + versine * k + rest * (k @ k)
 
 
@@ -232,11 +236,12 @@ def split(
 
     Raises
     ------
-    InputTypeError, InputError  if it is not finite, its last row is not (0, …, 0, 1) or its rotation is not one.
+    InputTypeError, InputError  if it is not finite, its last row is not (0, …, 0, 1) but for rounding or its rotation
+                                is not one.
     """
     m = _square(name, transformation, (3, 4))
     last = np.eye(len(m))[-1]
-    if not np.array_equal(m[-1], last):
+    if np.abs(m[-1] - last).max() > LAST_ROW_TOLERANCE:
         raise InputError(
             f"{name}: expected a homogeneous matrix with last row {_row(last)}, got {_row(m[-1])}; "
             "embed a rotation R as eye(D + 1) with [:D, :D] = R"
@@ -334,7 +339,7 @@ def _homogeneous(r: Array, t: Array) -> Array:
 
 
 def _square(name: str, value: ArrayLike, sizes: tuple[int, ...], *, finite: bool = True) -> Array:
-    m = float_array(name, value, (sizes, sizes), finite=finite)
+    m = float_array(name, value, (sizes, sizes), finite=finite, booleans=True)
     if m.shape[0] != m.shape[1]:
         raise InputError(f"{name}: expected a square matrix, got shape {m.shape}")
     return m
@@ -352,4 +357,5 @@ def _rotation(name: str, value: ArrayLike, tolerance: float = ROTATION_TOLERANCE
 
 
 def _row(numbers: Array) -> str:
-    return f"({', '.join(f'{x:g}' for x in numbers)})"
+    # digits enough to tell what is refused from what is wanted
+    return f"({', '.join(f'{x:.9g}' for x in numbers)})"

@@ -4,7 +4,6 @@ estimation methods, checked at the door."""
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -12,8 +11,9 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from adagmm_o3d.arguments import float_array, real_number
+from adagmm_o3d.arguments import float_array, of_moderate_length, real_number, true_or_false, whole_number
 from adagmm_o3d.errors import InputError, InputTypeError
+from adagmm_o3d.kernels.limits import EPSILON
 from adagmm_o3d.lazy_open3d import is_installed, o3d
 
 DEFAULT_MAX_ITERATION = 200
@@ -107,20 +107,27 @@ class TransformationEstimationForAdaptiveGMM:
     def __post_init__(self) -> None:
         for name, choices in (("sigma_rule", get_args(SigmaRuleName)), ("start", get_args(StartName))):
             value = getattr(self, name)
-            if value not in choices:
-                raise InputError(f"{name}: expected one of {', '.join(map(repr, choices))}, got {value!r}")
+            if not isinstance(value, str) or value not in choices:
+                got = repr(value) if isinstance(value, str) else type(value).__name__
+                raise InputError(f"{name}: expected one of {', '.join(map(repr, choices))}, got {got}")
         for name in ("search", "color"):
-            if not isinstance(getattr(self, name), bool):
-                raise InputTypeError(f"{name}: expected a bool, got {type(getattr(self, name)).__name__}")
-        if self.mutuality is not None and not 0.0 <= real_number("mutuality", self.mutuality) <= 0.5:
-            raise InputError(f"mutuality: expected 0 <= mutuality <= 0.5 or None, got {self.mutuality:g}")
-        if not 1.0 <= real_number("relaxation", self.relaxation) < 2.0:
+            self._keep(name, true_or_false(name, getattr(self, name)))
+        if self.mutuality is not None:
+            self._keep("mutuality", real_number("mutuality", self.mutuality))
+            if not 0.0 <= self.mutuality <= 0.5:
+                raise InputError(f"mutuality: expected 0 <= mutuality <= 0.5 or None, got {self.mutuality:g}")
+        self._keep("relaxation", real_number("relaxation", self.relaxation))
+        if not 1.0 <= self.relaxation < 2.0:
             raise InputError(f"relaxation: expected 1 <= relaxation < 2, got {self.relaxation:g}")
         if self.gravity is not None:
-            direction = float_array("gravity", self.gravity, (3,))
+            direction = of_moderate_length(float_array("gravity", self.gravity, (3,)))
             if not direction.any():
                 raise InputError("gravity: expected a direction (3,), got zero; leave it out where it is not known")
-            object.__setattr__(self, "gravity", tuple((direction / np.linalg.norm(direction)).tolist()))
+            self._keep("gravity", tuple((direction / np.linalg.norm(direction)).tolist()))
+
+    def _keep(self, name: str, value: Any) -> None:
+        """Put an option as it was read in the place of what was given."""
+        object.__setattr__(self, name, value)
 
 
 def check_estimation_method(value: Any) -> TransformationEstimationForAdaptiveGMM:
@@ -162,18 +169,19 @@ def surface_thickness(estimation_method: Any) -> float | None:
     """The variance across the surface of covariances that a cloud lacks: `epsilon` of Open3D's method for GICP; None
     where nobody gave any.
 
+    Open3D takes 0, with which covariances are singular, and more than 1, with which no surface is meant: they stand for
+    EPSILON, as with any singular covariance, and for 1.
+
     Raises
     ------
-    InputError : an epsilon that is not in (0, 1].
+    InputError : an epsilon that is below zero or not finite.
     """
     if estimation_method is None or not is_installed():
         return None
     if not isinstance(estimation_method, o3d.pipelines.registration.TransformationEstimationForGeneralizedICP):
         return None
-    epsilon = real_number("estimation_method.epsilon", estimation_method.epsilon, above=0.0)
-    if epsilon > 1.0:
-        raise InputError(f"estimation_method.epsilon: expected at most 1, got {epsilon:g}")
-    return epsilon
+    epsilon = real_number("estimation_method.epsilon", estimation_method.epsilon, minimum=0.0)
+    return min(epsilon, 1.0) if epsilon > 0.0 else EPSILON
 
 
 def _robust_kernel(method: Any) -> str | None:
@@ -209,22 +217,18 @@ def check_criteria(value: Any, *, name: str = "criteria") -> Criteria:
 
     Raises
     ------
-    InputTypeError : something else.   InputError : a number of it out of range.
+    InputTypeError : something else, or what is no number of it.   InputError : a number of it out of range.
     """
     ours = Criteria(DEFAULT_RELATIVE_RMSE, DEFAULT_MAX_ITERATION)
     if value is None:
         return ours
     if not isinstance(value, Criteria) and not _is_open3ds("ICPConvergenceCriteria", value):
         raise InputTypeError(f"{name}: expected Open3D's ICPConvergenceCriteria, got {type(value).__name__}")
-    if value.max_iteration < 0:
-        raise InputError(f"{name}.max_iteration: expected at least 0, got {value.max_iteration}")
-    if not 0.0 <= value.relative_rmse < math.inf:
-        raise InputError(f"{name}.relative_rmse: expected a finite number >= 0, got {value.relative_rmse:g}")
-    if isinstance(value, Criteria):
-        return value
-    if (value.relative_fitness, value.relative_rmse, value.max_iteration) == OPEN3D_DEFAULTS:
+    relative_rmse = real_number(f"{name}.relative_rmse", value.relative_rmse, minimum=0.0)
+    max_iteration = whole_number(f"{name}.max_iteration", value.max_iteration, minimum=0)
+    if not isinstance(value, Criteria) and (value.relative_fitness, relative_rmse, max_iteration) == OPEN3D_DEFAULTS:
         return ours
-    return Criteria(float(value.relative_rmse), int(value.max_iteration))
+    return Criteria(relative_rmse, max_iteration)
 
 
 def check_callback(value: Any) -> Callback | None:

@@ -57,8 +57,8 @@ def prepare(
     ------
     InputTypeError, InputError, DegenerateError : one line naming the argument, what was wanted, what came.
     """
-    voxel_size = real_number("voxel_size", voxel_size)
-    if not 0.0 < real_number("epsilon", epsilon) <= 1.0:
+    voxel_size, epsilon = real_number("voxel_size", voxel_size), real_number("epsilon", epsilon)
+    if not 0.0 < epsilon <= 1.0:
         raise InputError(f"epsilon: expected 0 < epsilon <= 1, got {epsilon:g}; it is the variance across the surface")
     if isinstance(cloud, PreparedCloud):
         raise InputTypeError("cloud: expected a cloud or an array of points, got one that is prepared")

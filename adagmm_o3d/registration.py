@@ -103,7 +103,7 @@ def registration_adaptive_gmm(
         that a script needs no change, and stand for the default options, which the log says once; that for coloured ICP
         for `color`, with the colours of `PointCloud.colors`, `point.colors` or else `point.intensity`; one that
         estimates a scale is refused. The `epsilon` of that for GICP is the thickness of surfaces where legacy clouds
-        have no covariances.
+        have no covariances; 0 stands for its default, more than 1 for 1.
     criteria : Open3D's ICPConvergenceCriteria, legacy or tensor. `relative_rmse` bounds the change of the weighted
         residual in the last iteration, `max_iteration` the iterations reported; with 0 of them `init` is evaluated, and
         is the result. `relative_fitness` is not read. Left out, or Open3D's own defaults: 1e-3 and 200.

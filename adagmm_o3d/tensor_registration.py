@@ -114,6 +114,8 @@ def _evaluated(
     source: TensorCloud, target: TensorCloud, distance: float, transformation: o3d.core.Tensor
 ) -> o3d.t.pipelines.registration.RegistrationResult:
     """Open3D's `evaluate_registration`, which without a limit would look at every pair of points."""
+    # Only the positions count; what else a cloud has Open3D would move as well, which it refuses for whole numbers.
+    source, target = TensorCloud(source.point.positions), TensorCloud(target.point.positions)
     if distance < math.inf:
         return o3d.t.pipelines.registration.evaluate_registration(source, target, distance, transformation)
     moved = source.clone().transform(transformation).point.positions

@@ -9,15 +9,15 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from adagmm_o3d.arguments import Array
+from adagmm_o3d.arguments import Array, check_coordinates
 from adagmm_o3d.errors import DegenerateError, InputError
 from adagmm_o3d.kernels.limits import SMALLEST
 
 MIN_POINTS = 3
 # A sensor model may fail at a point now and then (the Kinect data has one in thousands); more is a mistake upstream.
 MAX_NONFINITE_SHARE = 0.01
-# Squares of coordinates [input units] must neither overflow nor vanish.
-LARGEST_COORDINATE, SMALLEST_EXTENT = 1e140, 1e-140
+# Squares of coordinates [input units] must not vanish; nor may they overflow, see `arguments.LARGEST_COORDINATE`.
+SMALLEST_EXTENT = 1e-140
 # The spread of so few points is measured exactly, see `check_spread`.
 FEW_POINTS = 50
 
@@ -93,8 +93,7 @@ def check_spread(name: str, p: Array) -> None:
 
 def check_largest(name: str, largest: float) -> None:
     """Raise if the squares of the largest coordinate [input units] overflow."""
-    if largest > LARGEST_COORDINATE:
-        raise InputError(f"{name}.points: expected coordinates up to {LARGEST_COORDINATE:g}, got {largest:g}; rescale")
+    check_coordinates(f"{name}.points", np.array([largest]))
 
 
 def check_extent(name: str, extent: float) -> None:

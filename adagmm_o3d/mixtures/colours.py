@@ -25,8 +25,8 @@ LINEAR = (6.0 / 29.0) ** 3
 BRIGHT, FULL = 0.99, 100.0
 # Two sensors whose bright intensities are further apart than this write them in different units.
 SAME_UNIT = 2.5
-# By so much rounding may bring a colour above 1.
-ROUNDED = 1e-6
+# By so much rounding may bring a colour above 1, and interpolation, which overshoots at edges, beyond 0 and 1.
+ROUNDED, OVERSHOT = 1e-6, 0.05
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,8 @@ def checked_colors(
 
     Parameters
     ----------
-    source, target : (m, 3) and (n, 3) sRGB, 0 to 1 or, as uint8, 0 to 255; or (m,), (m, 1) and (n,), (n, 1)
-        intensities, of any unit, at least 0.   counts : m and n.
+    source, target : (m, 3) and (n, 3) sRGB, 0 to 1 or, as uint8, 0 to 255, or beyond 0 and 1 by OVERSHOT, which is cut
+        off; or (m,), (m, 1) and (n,), (n, 1) intensities, of any unit, at least 0.   counts : m and n.
 
     Raises
     ------
@@ -99,16 +99,17 @@ def _checked(name: str, value: ArrayLike | None, count: int) -> Array:
     rows = np.asarray(value).ndim
     colors = float_array(name, value, (count,) if rows == 1 else (count, (3, 1)))
     lowest = float(colors.min(initial=0.0))
-    if lowest < 0.0:
+    intensities = rows == 1 or colors.shape[1] == 1
+    if lowest < (0.0 if intensities else -OVERSHOT):
         raise InputError(f"{name}: expected numbers of at least 0, got {lowest:g}")
-    if rows == 1 or colors.shape[1] == 1:
+    if intensities:
         return colors.ravel()
     if as_bytes:
         return colors / 255.0
     highest = float(colors.max(initial=0.0))
-    if highest > 1.0 + ROUNDED:
+    if highest > 1.0 + OVERSHOT:
         raise InputError(f"{name}: expected 0 to 1, got {highest:g}; divide by 255, or by what white is")
-    return colors
+    return np.clip(colors, 0.0, 1.0) if lowest < 0.0 or highest > 1.0 + ROUNDED else colors
 
 
 def lab_of(rgb: Array) -> Array:

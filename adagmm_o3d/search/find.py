@@ -37,7 +37,8 @@ BETTER, MUCH_BETTER = 0.05, 0.25
 # 0.17 (1 of 30 above), rooms 0.07 and more (4 of 60 below), the simulation's models 1.9 and more.
 AMBIGUOUS, AMBIGUOUS_LIKELIHOOD = 0.1, 0.15
 # A given start is believed at once when the clouds explain each other there this much as well as the halves of one
-# cloud do; or, where noise hides the shape, when this share of the points has a partner.
+# cloud do; or, where noise hides the shape, when this share of the points has a partner. The identity that nobody
+# vouched for is kept then if it holds, and any pose like that is a rival.
 KNOWN_AGAIN, PLAUSIBLE = 0.5, 0.1
 # A first end that explains the clouds so many times as well as the halves of one cloud explain each other is right:
 # nothing that features propose does better. Round and regular bodies, of which another pose may, do not come to this.
@@ -79,8 +80,18 @@ class Candidate:
         Walls and floors that are piled up loosely in a wrong way explain much of both clouds, as the right pose of
         clouds that share a third does; but where one cloud goes on the other is beside it.
         """
-        held = self.judge.held(self.end.pose)
+        held = self.held
         return self.evidence + log_held(held) - log_held(1.0) if held >= self.least_held else -math.inf
+
+    @cached_property
+    def held(self) -> float:
+        """See `Judge.held`."""
+        return self.judge.held(self.end.pose)
+
+    def explains(self, least: float) -> bool:
+        """Whether it may be right, whatever else may be: its evidence is more than `least`, and it holds as far as the
+        halves of a cloud do."""
+        return self.evidence > least and self.held >= HOLDS
 
 
 def find(
@@ -135,9 +146,9 @@ def find(
         return Found(ends[0], is_ambiguous([(end, end.log_likelihood) for end in ends], AMBIGUOUS_LIKELIHOOD))
     near = _judged(judge(), nearby)
     if given is not None and near and max(one.evidence for one in near) >= KNOWN_AGAIN * judge().reference:
-        return _found(judge(), near, [])
+        return _found(judge(), near, [], given is not None)
     if certain:
-        return _found(judge(), near, pool)
+        return _found(judge(), near, pool, given is not None)
     most, apart_by = levels.schedule.proposed.kept, levels.schedule.proposed.apart
     alike = thinned_alike(levels.source, levels.target)
     proposals = _apart(feature_poses(alike), apart_by)
@@ -152,7 +163,7 @@ def find(
         if viewpoints[0] is not None and viewpoints[1] is not None:
             more += _starts_in_place(levels, viewpoints[0], viewpoints[1])
         pool += _judged(judge(), more)
-    return _found(judge(), near, pool)
+    return _found(judge(), near, pool, given is not None)
 
 
 def _most_likely(ends: list[End]) -> End:
@@ -213,30 +224,44 @@ def _best_value(candidates: list[Candidate]) -> float:
     return max((one.value for one in _ranked(candidates)), default=-math.inf)
 
 
-def _found(judge: Judge, near: list[Candidate], pool: list[Candidate]) -> Found:
-    end, rivals = _chosen(near, pool, judge.sigma)
+def _found(judge: Judge, near: list[Candidate], pool: list[Candidate], vouched: bool) -> Found:
+    chosen, rivals = _chosen(near, pool, judge.reference, vouched)
+    # To stay in the nearest optimum σ was forced down, maybe below the noise, where chance decides who is a partner of
+    # whom.
+    sigma, unmatched = max(chosen.sigma, judge.sigma), min(chosen.unmatched, FRESH_UNMATCHED)
+    end = chosen._replace(sigma=sigma, unmatched=unmatched)
     return Found(end, _stay_apart(judge, end.pose, rivals))
 
 
-def _chosen(near: list[Candidate], pool: list[Candidate], sigma: float) -> tuple[End, list[Array]]:
-    """The best of the pool, or the best near the given start where none is clearly better, to go on from `sigma`; and
-    its rivals.
-
-    To stay in the nearest optimum σ was forced down, maybe below the noise, where chance decides who is a partner of
-    whom.
-    """
+def _chosen(near: list[Candidate], pool: list[Candidate], reference: float, vouched: bool) -> tuple[End, list[Array]]:
+    """The best of all, or the best near the given start where that may be right or none is clearly better; and its
+    rivals. `vouched` says that somebody has chosen the start."""
+    known = KNOWN_AGAIN * reference
     ranked = _ranked([*near, *pool])
     best = ranked[0]
     at_start = next((one for one in ranked if one in near), None)
-    if at_start is not None and at_start is not best:
-        wanted = BETTER if best.value >= ESTABLISHED or at_start.value <= 0.0 < best.value else MUCH_BETTER
-        if best.value < at_start.value + wanted:
-            best = at_start
+    if best not in near:
+        # Of a room of which either cloud lacks another end, all walls come together if it is turned by half a turn.
+        right = [one for one in near if one.explains(0.0 if vouched else known)]
+        if right:
+            best = max(right, key=lambda one: one.value)
+        elif at_start is not None:
+            wanted = BETTER if best.value >= ESTABLISHED or at_start.value <= 0.0 < best.value else MUCH_BETTER
+            if best.value < at_start.value + wanted:
+                best = at_start
+    if best in near:
+        # Where walls slide on each other, many poses near the start explain the same.
+        as_good = [one for one in near if one.value >= best.value - BETTER]
+        best = min(as_good, key=lambda one: float(pose_distance(one.end.start, one.end.pose)))
     # What is beside a surface may have come there since: a pose that holds less but explains as much is a rival.
     others = [(one.end, one.evidence) for one in ranked if one is not best]
     rivals = _rivals([(best.end, best.evidence), *others], AMBIGUOUS)
-    end = best.end
-    return end._replace(sigma=max(end.sigma, sigma), unmatched=min(end.unmatched, FRESH_UNMATCHED)), rivals
+    rivals += [
+        one.end.pose
+        for one in [*near, *pool]
+        if pose_distance(best.end.pose, one.end.pose) > APART_AMBIGUOUS and one.explains(known)
+    ]
+    return best.end, rivals
 
 
 def _stay_apart(judge: Judge, pose: Array, rivals: list[Array]) -> bool:

@@ -33,6 +33,8 @@ STEP, AT_FLOOR = 0.25, 1.2
 # Below SIGMA_FLOOR it is clear which parts of dense clouds belong together: σ may fall faster, and the posterior that a
 # pair has from the source's side is enough.
 FASTEST_BELOW = 0.5
+# The compiled loop keeps room for the record of so many iterations at a time, however many are allowed.
+PORTION = 1000
 
 Observe = Callable[[Iteration], None]
 
@@ -120,8 +122,8 @@ def refine(
 def _refine_compiled(
     levels: Levels, end: End, criteria: Criteria, relaxation: float, observe: Observe | None
 ) -> tuple[Outcome, Fit]:
-    """The same in one compiled loop: for small clouds a return to Python costs more than the pairs do. For an observer
-    it returns after each iteration, which changes no bit."""
+    """The same in one compiled loop: for small clouds a return to Python costs more than the pairs do. It returns after
+    each PORTION, for an observer after each iteration, which changes no bit."""
     sides = levels.sampled(levels.schedule.small)
     limits = Limits(
         SAMPLED_SIGMA,
@@ -134,7 +136,7 @@ def _refine_compiled(
     )
     refined, left, memories = end, criteria.max_iteration, fresh_memory(1)
     while left > 0:
-        most = left if observe is None else 1
+        most = min(left, PORTION) if observe is None else 1
         start = Start(refined.pose, refined.sigma, refined.unmatched, FASTEST, most, follow=1.0)
         ends = run_starts(*sides, [start], limits=limits, level=LEVEL, memories=memories)
         if observe is not None:

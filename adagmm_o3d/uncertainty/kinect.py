@@ -36,8 +36,8 @@ class KinectUncertainty:
     w2: float = 0.2776
 
     def __post_init__(self) -> None:
-        real_number("w1", self.w1, minimum=0.0)
-        real_number("w2", self.w2, minimum=0.0)
+        for name in ("w1", "w2"):
+            object.__setattr__(self, name, real_number(name, getattr(self, name), minimum=0.0))
 
     @classmethod
     def from_reference(cls, reference: float) -> Self:

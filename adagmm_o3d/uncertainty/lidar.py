@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adagmm_o3d.arguments import Array, float_array, real_number
+from adagmm_o3d.arguments import Array, check_coordinates, float_array, real_number
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.uncertainty.planes import find_planes
 
@@ -71,8 +71,10 @@ def estimate_lidar_covariances(
     standard deviations).   Planes: A. Segal, D. Haehnel, S. Thrun, Generalized-ICP, RSS 2009, Section III; a measured
     thickness in place of a constant is ours, as are the growing cells.
     """
-    p = float_array("points", points, ("N", 3))
-    beams = p - float_array("origin", origin, (3,))
+    p, seen_from = float_array("points", points, ("N", 3)), float_array("origin", origin, (3,))
+    check_coordinates("points", p)
+    check_coordinates("origin", seen_from)
+    beams = p - seen_from
     along, across = (
         real_number(name, value, minimum=0.0)
         for name, value in (("range_noise", range_noise), ("beam_noise", beam_noise))

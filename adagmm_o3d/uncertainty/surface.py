@@ -3,7 +3,15 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adagmm_o3d.arguments import Array, float_array, real_number, unit_vectors, whole_number
+from adagmm_o3d.arguments import (
+    LARGEST_COORDINATE,
+    Array,
+    check_coordinates,
+    float_array,
+    real_number,
+    unit_vectors,
+    whole_number,
+)
 from adagmm_o3d.errors import DegenerateError, InputError
 from adagmm_o3d.grouping import cells_of, even_edge
 from adagmm_o3d.kernels.limits import EPSILON, KNN, LINE_RATIO
@@ -68,6 +76,7 @@ def estimate_surface_covariances(
     A. Segal, D. Haehnel, S. Thrun, Generalized-ICP, RSS 2009, Section III; the defaults are Open3D's.
     """
     p = float_array("points", points, ("N", (2, 3)))
+    check_coordinates("points", p)
     dimension = p.shape[1]
     neighbors = whole_number("knn", knn, minimum=dimension + 1)
     thickness = real_number("epsilon", epsilon, above=0.0)
@@ -97,22 +106,22 @@ def stand_in_covariances(points: Array, normals: Array | None = None, *, epsilon
 
     Returns
     -------
-    (N, D, D) float64, or None for fewer than three points or some that are not finite, which no registration takes.
+    (N, D, D) float64, or None for fewer than three points or some that are not finite or so large that their squares
+    overflow, which no registration takes.
 
     Raises
     ------
     DegenerateError  if there are no usable normals, and no more than D points.
     """
-    if len(points) < 3 or not np.isfinite(points).all():
+    if len(points) < 3 or not (np.abs(points) <= LARGEST_COORDINATE).all():
         return None
-    usable = np.zeros(len(points), bool)
+    usable: NDArray[np.bool_] = np.zeros(len(points), bool)
     if normals is not None:
-        lengths = np.linalg.norm(normals, axis=1)
-        usable = np.isfinite(lengths) & (lengths > 0.0)
+        usable = np.asarray(np.isfinite(normals).all(axis=1) & normals.any(axis=1))
     if normals is None or not usable.any():
         return estimate_surface_covariances(points, epsilon=epsilon)
     n = np.zeros(points.shape)
-    n[usable] = normals[usable] / lengths[usable, None]
+    n[usable] = unit_vectors("normals", normals[usable], ("N", points.shape[1]))
     if not usable.all() and len(points) > points.shape[1]:
         n[~usable] = _estimate_normals(points, KNN, np.flatnonzero(~usable))
     return _plane_covariances(n, epsilon)

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adagmm_o3d.arguments import Array, float_array, unit_vectors
+from adagmm_o3d.arguments import Array, check_coordinates, float_array, unit_vectors
 from adagmm_o3d.errors import InputError
 
 MAX_DEPTH = 100.0
@@ -29,6 +29,7 @@ def depth_and_incidence(points: ArrayLike, normals: ArrayLike) -> tuple[Array, A
                                 (the first such row is named).
     """
     p = float_array("points", points, ("N", 3))
+    check_coordinates("points", p)
     n = unit_vectors("normals", normals, ("N", 3))
     if len(n) != len(p):
         raise InputError(f"normals: expected ({len(p)}, 3) to match the points, got {n.shape}")

@@ -1,5 +1,7 @@
 """Poses that are inverted, transposed, in millimetres or in another camera's axes are named by what they look like."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -77,6 +79,21 @@ def test_where_no_reading_is_clearly_better_the_given_one_stays():
     apart = [camera_pose(0.0), camera_pose(170.0)]  # they see nothing in common
     frames = [frame_at(pose) for pose in apart]
     assert best_reading([PosedPair(frames[1], frames[0], apart[1], apart[0])]).name == AS_GIVEN
+
+
+def test_a_sensor_that_was_moved_is_not_taken_for_millimetres(tmp_path):
+    """Read so, both sensors are at one place, which near sensors agree with."""
+    near = [POSES[0], POSES[0].copy()]
+    near[1][:3, 3] += 0.02
+    write_own(tmp_path, near, SMALL)
+    rig = load_rig(tmp_path / "rig.yaml")
+    moved = dict(rig.sensors)
+    T = moved["right"].T_rig_sensor.copy()
+    T[:3, 3] += 0.4
+    moved["right"] = replace(moved["right"], T_rig_sensor=T)
+    save_rig(tmp_path / "rig.yaml", Rig(rig.name, moved))
+    (note,) = extrinsics_notes(open_recording(tmp_path))
+    assert note.startswith("the pose of right to left does not fit: as given ") and "millimetres" not in note
 
 
 def test_the_share_of_agreeing_points_is_the_overlap():

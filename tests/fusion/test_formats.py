@@ -1,6 +1,7 @@
 """Every reader against folders of a known room: names, depths, and poses that put the clouds onto each other."""
 
 import json
+import shutil
 
 import cv2
 import numpy as np
@@ -29,6 +30,7 @@ from folder_layouts import (
 from adagmm_fusion.clouds.building import dense_cloud
 from adagmm_fusion.errors import RecordingError, RigError
 from adagmm_fusion.formats.icl_nuim import INTRINSICS as ICL_INTRINSICS
+from adagmm_fusion.formats.options import PRIMESENSE
 from adagmm_fusion.formats.tum import INTRINSICS as TUM_INTRINSICS
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.recordings.opening import open_recording
@@ -212,6 +214,30 @@ def test_tum_quaternion_must_be_a_unit_one(tum):
     refused(tum, r"groundtruth\.txt:1: expected a unit quaternion")
 
 
+@pytest.mark.parametrize(
+    ("format", "place"), [("tum", "K.txt"), ("7scenes", "K.txt"), ("7scenes", "../camera-intrinsics.txt")]
+)
+def test_intrinsics_in_a_folder_of_a_known_camera_count(tmp_path, format, place):
+    """They were passed over, and the data set's numbers taken."""
+    folder = tmp_path / "freiburg1"
+    FORMATS[format][0](folder, POSES[:2], SMALL)
+    np.savetxt(folder / place, SMALL.matrix())
+    recording = open_recording(folder)
+    assert recording.format == format and recording[0].source.intrinsics == SMALL
+    assert recording.notes == (f"the intrinsics are those of {place.removeprefix('../')}",)
+    np.savetxt(folder / "K.txt", SMALL.matrix())
+    np.savetxt(folder / "intrinsics.txt", VGA.matrix())
+    refused(folder, "expected the camera matrix and distortion of .*; keep one of the two files")
+
+
+def test_tum_comment_that_names_the_columns_counts(tum):
+    expected = open_recording(tum).entries[1].T_world_camera
+    lines = (tum / "groundtruth.txt").read_text().splitlines()[1:]
+    moved = [" ".join((*words[:4], words[7], *words[4:7])) for words in map(str.split, lines)]
+    (tum / "groundtruth.txt").write_text("\n".join(["# timestamp tx ty tz qw qx qy qz", *moved]) + "\n")
+    np.testing.assert_allclose(open_recording(tum).entries[1].T_world_camera, expected, rtol=0, atol=1e-9)
+
+
 def test_tum_of_an_unknown_sensor_needs_a_rig(tmp_path):
     folder = tmp_path / "desk"
     write_tum(folder, POSES[:2], SMALL)
@@ -246,22 +272,118 @@ def test_redwood_trajectory_mistakes(redwood, old, new, match):
     refused(redwood, match)
 
 
-def test_redwood_without_json_is_primesense_and_without_log_has_no_truth(redwood):
+def test_redwood_without_json_is_primesense_and_without_log_has_no_truth(tmp_path):
+    write_redwood(tmp_path, POSES[:2], PRIMESENSE)
+    (tmp_path / "camera_intrinsic.json").unlink()
+    recording = open_recording(tmp_path)
+    assert recording[0].source.intrinsics == PRIMESENSE
+    (note,) = recording.notes
+    assert note == "the intrinsics are taken for PrimeSense's 525 525 319.5 239.5, no camera_intrinsic.json says"
+    (tmp_path / "trajectory.log").rename(tmp_path / "poses.log")
+    assert open_recording(tmp_path).frames().pose(0) is not None
+    shutil.copyfile(tmp_path / "poses.log", tmp_path / "odometry.log")
+    refused(tmp_path, "several trajectories")
+    (tmp_path / "poses.log").unlink()
+    (tmp_path / "odometry.log").unlink()
+    refused(tmp_path, "not a recording of a known format")
+    assert open_recording(tmp_path, format="redwood").frames().pose(0) is None
+
+
+def test_redwood_images_of_another_size_are_not_taken_for_primesense(redwood):
     (redwood / "camera_intrinsic.json").unlink()
-    assert open_recording(redwood).entries[0].load.args[4] == PinholeIntrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
-    (redwood / "trajectory.log").rename(redwood / "poses.log")
-    assert open_recording(redwood).frames().pose(0) is not None
-    (redwood / "odometry.log").write_text("")
-    refused(redwood, "several trajectories")
-    (redwood / "poses.log").unlink()
-    (redwood / "odometry.log").unlink()
-    refused(redwood, "not a recording of a known format")
-    assert open_recording(redwood, format="redwood").frames().pose(0) is None
+    refused(redwood, "expected camera_intrinsic.json, as images of 32x24 pixels are not PrimeSense's of 640x480")
+
+
+def redwood_camera(folder, **more):
+    K = [30.0, 0, 0, 0, 30.0, 0, 16.0, 12.0, 1]
+    (folder / "camera_intrinsic.json").write_text(json.dumps({"width": 32, "height": 24, "intrinsic_matrix": K} | more))
+
+
+def test_redwood_depth_scale_and_distortion_of_the_camera_file_count(redwood):
+    redwood_camera(redwood, depth_scale=250, distortion=[0.1, -0.2, 0, 0, 0])
+    recording = open_recording(redwood)
+    frame = recording[0].source
+    assert recording.format == "redwood"
+    assert (frame.depth_scale, frame.intrinsics.distortion[:2]) == (250.0, (0.1, -0.2))
+
+
+@pytest.mark.parametrize("name", ["K.txt", "calibration.json"])
+def test_redwood_beside_another_camera_file_is_read_with_that(redwood, name):
+    """It was passed over, and PrimeSense's numbers taken."""
+    (redwood / "camera_intrinsic.json").unlink()
+    K = [[40.0, 0, 16.0], [0, 41.0, 12.0], [0, 0, 1]]
+    (redwood / name).write_text(
+        "\n".join(" ".join(map(str, row)) for row in K) if name == "K.txt" else json.dumps({"K": K})
+    )
+    recording = open_recording(redwood)
+    assert recording.format == "folder"
+    assert recording[0].source.intrinsics.fy == 41.0
+
+
+NOT_OPEN3D = [
+    {"width": 32, "height": 24, "fx": 30, "fy": 30, "cx": 16, "cy": 12},
+    {"width": 32, "height": 24, "intrinsic_matrix": [[30, 0, 16], [0, 30, 12], [0, 0, 1]]},
+    {"width": 32, "height": 24, "intrinsic_matrix": [30, 0, 16, 0, 30, 12, 0, 0, 1]},
+]
+
+
+@pytest.mark.parametrize("values", NOT_OPEN3D)
+def test_redwood_camera_of_another_form_is_read_as_a_folder(redwood, values):
+    (redwood / "camera_intrinsic.json").write_text(json.dumps(values))
+    recording = open_recording(redwood)
+    assert recording.format == "folder"
+    k = recording[0].source.intrinsics
+    assert (k.fx, k.cx, k.cy) == (30.0, 16.0, 12.0)
+    np.testing.assert_allclose(recording.entries[1].T_world_camera, POSES[1], rtol=0, atol=1e-6)
+
+
+def renamed(folder, color, depth):
+    for kind, names in (("color", color), ("depth", depth)):
+        for path, name in zip(sorted((folder / kind).iterdir()), names, strict=True):
+            path.rename(folder / kind / f"{name}.png")
+
+
+def test_redwood_names_that_share_what_is_before_a_dash_lose_no_frame(redwood):
+    names = ["120000-033", "120000-066", "120001-000"]
+    renamed(redwood, names, names)
+    recording = open_recording(redwood)
+    assert [entry.name for entry in recording.entries] == names and recording.notes == ()
+
+
+def test_redwood_names_that_do_not_pair_are_read_as_a_folder(redwood):
+    renamed(redwood, *([f"frame-{i:06d}.{kind}" for i in range(3)] for kind in ("color", "depth")))
+    assert open_recording(redwood).format == "folder" and len(open_recording(redwood).entries) == 3
+    refused(redwood, "expected images of equal names", format="redwood")
+
+
+def test_redwood_counts_frames_by_their_numbers(redwood):
+    """The second pose is that of frame 9 and not of frame 10, which is before it by letters."""
+    renamed(redwood, *[["8", "9", "10"]] * 2)
+    recording = open_recording(redwood)
+    assert [entry.name for entry in recording.entries] == ["8", "9", "10"]
+    np.testing.assert_allclose(recording.entries[1].T_world_camera, POSES[1], rtol=0, atol=1e-6)
+
+
+def test_redwood_log_of_a_program_is_no_trajectory(redwood):
+    (redwood / "trajectory.log").unlink()
+    (redwood / "capture.log").write_text("2024-01-01 12:00 started\n2024-01-01 12:01 stopped\n")
+    recording = open_recording(redwood)
+    assert recording.format == "redwood" and recording.frames().pose(0) is None
+    assert recording.notes[0].startswith("capture.log: left out, it is no trajectory")
+    (redwood / "camera_intrinsic.json").unlink()
+    refused(redwood, "not a recording of a known format, but nearly")
 
 
 def test_redwood_frames_must_have_partners(redwood):
     next(redwood.glob("depth/00001-*")).unlink()
     refused(redwood, r"no pair of frames .*; left out, without their depth image: 00001$", step=2)
+
+
+def test_pose_file_line_of_nan_is_no_pose(tmp_path):
+    write_pose_file(tmp_path, POSES, SMALL)
+    lines = (tmp_path / "poses.txt").read_text().splitlines()
+    (tmp_path / "poses.txt").write_text("\n".join([lines[0], "nan " * 16, lines[2]]))
+    assert [entry.T_world_camera is None for entry in open_recording(tmp_path).entries] == [False, True, False]
 
 
 @pytest.mark.parametrize("kind", ["color", "depth"])
@@ -313,11 +435,10 @@ def test_seven_scenes_colour_may_be_jpeg(tmp_path):
 @pytest.mark.parametrize(
     "content, match",
     [
-        ("{", "expected width, height and intrinsic_matrix"),
-        ('{"width": 32, "height": 24}', "intrinsic_matrix"),
-        (json.dumps({"width": 32, "height": 24, "intrinsic_matrix": [1, 2, 3]}), "intrinsic_matrix"),
-        (json.dumps({"width": 32, "height": 24, "intrinsic_matrix": [30, 0, 16, 0, 30, 12, 0, 0, 1]}), "camera matrix"),
-        (json.dumps({"width": 0, "height": 24, "intrinsic_matrix": [30, 0, 0, 0, 30, 0, 16, 12, 1]}), "width"),
+        ("{", r"camera_intrinsic\.json: not valid JSON"),
+        ('{"width": 32, "height": 24}', r"no intrinsics; camera_intrinsic\.json: not understood"),
+        (json.dumps({"width": 32, "height": 24, "intrinsic_matrix": [1, 2, 3]}), r"camera_intrinsic\.json.* got 3"),
+        (json.dumps({"width": 0, "height": 24, "intrinsic_matrix": [30, 0, 0, 0, 30, 0, 16, 12, 1]}), "image size"),
     ],
 )
 def test_redwood_intrinsics_mistakes(redwood, content, match):

@@ -12,6 +12,7 @@ from adagmm_fusion.clouds.building import dense_cloud
 from adagmm_fusion.commands.run_many import recordings_in
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.atomic_file import write_text
+from adagmm_fusion.formats.pose_lists import EXPECTED, find_poses
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.recordings.opening import open_recording
 from adagmm_fusion.rigs.rig import Rig, SensorCalibration
@@ -153,6 +154,137 @@ def test_poses_in_whatever_file_and_whichever_way_round(tmp_path, name, meant):
     assert f"poses of {file} are read as {meant}: " in recording.notes[-1]
     for entry, pose in zip(recording.entries, POSES, strict=True):
         np.testing.assert_allclose(entry.T_world_camera, pose, rtol=0, atol=1e-9)
+
+
+def posed(folder, poses=POSES):
+    """The folder's poses are those of the room."""
+    recording = open_recording(folder)
+    for entry, pose in zip(recording.entries, poses, strict=True):
+        assert (entry.T_world_camera is None) == (pose is None)
+        if pose is not None:
+            np.testing.assert_allclose(entry.T_world_camera, pose, rtol=0, atol=1e-6)
+    return recording
+
+
+def row(order, key, T):
+    values = dict(zip(("tx", "ty", "tz", "qx", "qy", "qz", "qw"), quaternion(T).split(), strict=True)) | {"frame": key}
+    return [values[name] for name in order]
+
+
+ORDERS = [
+    "frame tx ty tz qw qx qy qz",
+    "frame qw qx qy qz tx ty tz",
+    "tx ty tz qx qy qz qw frame",
+    "qw qx qy qz tx ty tz",
+]
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize(("before", "between", "file"), [("# ", " ", "traj.txt"), ("", ",", "poses.csv")])
+def test_headings_that_name_the_columns_of_poses_count(tmp_path, order, before, between, file):
+    order = order.split()
+    rows = [between.join(row(order, str(i), T)) for i, T in enumerate(POSES)]
+    write_text(layout(tmp_path) / file, "\n".join([before + between.join(order), *rows]) + "\n")
+    posed(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "heading", ["#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"]
+)
+def test_headings_of_euroc_count(tmp_path, heading):
+    order = ORDERS[0].split()
+    rows = [",".join(row(order, str(i), T)) for i, T in enumerate(POSES)]
+    write_text(layout(tmp_path) / "groundtruth.csv", "\n".join([heading, *rows]) + "\n")
+    posed(tmp_path)
+
+
+@pytest.mark.parametrize("heading", ["# frame tx ty tz qx qy qz", "# frame px py pz w x y z"])
+def test_headings_that_are_not_understood_are_refused(tmp_path, heading):
+    rows = [f"{i} {quaternion(T)}" for i, T in enumerate(POSES)]
+    write_text(layout(tmp_path) / "poses.txt", "\n".join([heading, *rows]) + "\n")
+    with pytest.raises(RecordingError, match=r"poses\.txt:1: expected headings such as timestamp tx"):
+        open_recording(tmp_path)
+
+
+BLOCKS = {
+    "4x4": lambda i, T: "\n".join(map(numbers, T)) + "\n",
+    "3x4": lambda i, T: "\n".join(map(numbers, T[:3])) + "\n",
+    "4x4 below a number": lambda i, T: f"{i}\n" + "\n".join(map(numbers, T)),
+}
+
+
+@pytest.mark.parametrize("form", BLOCKS)
+def test_poses_one_below_the_other(tmp_path, form):
+    write_text(layout(tmp_path) / "poses.txt", pose_rows(POSES, BLOCKS[form]))
+    posed(tmp_path)
+
+
+@pytest.mark.parametrize("shape", [(-1, 4, 4), (-1, 3, 4), (-1, 16)])
+def test_poses_in_an_array(tmp_path, shape):
+    poses = np.array(POSES)[:, :3] if shape[1] == 3 else np.array(POSES)
+    np.save(layout(tmp_path) / "poses.npy", poses.reshape(shape))
+    posed(tmp_path)
+
+
+def test_a_file_without_a_number_beside_a_pose_file_a_frame_is_no_matter(tmp_path):
+    layout(tmp_path)
+    for i, pose in enumerate(POSES):
+        write_text(tmp_path / f"poses/{i:06d}.txt", numbers(pose))
+    write_text(tmp_path / "poses/info.txt", "recorded with a phone\n")
+    posed(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("file", "text"),
+    [
+        ("poses.json", "{}"),
+        ("poses.txt", f"{numbers(POSES[0])}\n{numbers(POSES[1])}\n1 0 0\n"),
+        ("trajectory.txt", "1 0 0 0\n" * 6),
+    ],
+)
+def test_a_file_of_poses_that_is_not_understood_is_noted(tmp_path, file, text):
+    write_text(layout(tmp_path) / file, text)
+    notes = []
+    assert find_poses(tmp_path, sorted((tmp_path / "depth").iterdir()), notes) is None
+    assert notes == [f"{file}: not understood, left out; expected {EXPECTED}"]
+
+
+def test_a_pose_of_nan_is_none(tmp_path):
+    lost = np.full((4, 4), np.nan)
+    write_text(layout(tmp_path) / "poses.txt", pose_rows([POSES[0], lost, POSES[2]], lambda i, T: numbers(T)))
+    posed(tmp_path, [POSES[0], None, POSES[2]])
+
+
+@pytest.mark.parametrize("kind", ["color", "depth"])
+def test_poses_without_numbers_are_of_the_images_in_order(tmp_path, kind):
+    """A frame without its partner is left out and its pose with it."""
+    layout(tmp_path)
+    write_text(tmp_path / "poses.txt", pose_rows(POSES, lambda i, T: numbers(T)))
+    (tmp_path / kind / "000001.png").unlink()
+    posed(tmp_path, [POSES[0], POSES[2]])
+    write_text(tmp_path / "poses.txt", pose_rows([*POSES, POSES[0]], lambda i, T: numbers(T)))
+    with pytest.raises(RecordingError, match="expected 2 poses, as there are frames, got 4; put each frame's number"):
+        open_recording(tmp_path)
+
+
+def test_poses_without_numbers_that_may_be_of_either_images_are_refused(tmp_path):
+    four = [*POSES, camera_pose(20.0, (0.15, 0.3, 1.26))]
+    layout(tmp_path, poses=four)
+    write_text(tmp_path / "poses.txt", pose_rows(four, lambda i, T: numbers(T)))
+    (tmp_path / "color/000003.png").rename(tmp_path / "color/000000a.png")
+    (tmp_path / "color/000000.png").rename(tmp_path / "color/000009.png")
+    (tmp_path / "color/000000a.png").rename(tmp_path / "color/000010.png")
+    with pytest.raises(RecordingError, match="got 4, and colour and depth images count differently"):
+        open_recording(tmp_path)
+
+
+def test_a_pose_near_in_time_is_of_the_nearest_frame_only(tmp_path):
+    """Poses that are rarer than frames: those between have none, and not their neighbour's."""
+    layout(tmp_path, "color/{t:.6f}.png", "depth/{t:.6f}.png")
+    quaternion = "0 0 0 0 0 0 1"
+    write_text(tmp_path / "trajectory.txt", f"{1e9 + 0.006:.6f} {quaternion}\n{1e9 + 0.066:.6f} {quaternion}\n")
+    poses = [entry.T_world_camera is not None for entry in open_recording(tmp_path).entries]
+    assert poses == [True, False, True]
 
 
 def test_a_pose_file_a_frame_and_names_that_say_which_way(tmp_path):

@@ -162,5 +162,5 @@ def test_names_that_cannot_be_printed(tmp_path):
     renamed = {n: data for n, data in files.items() if n not in (depth, color)}
     renamed |= {"depth/\x1b[2J-1.png": files[depth], "color/\x1b[2J-1.png": files[color]}
     write_files(tmp_path, renamed)
-    with pytest.raises(RecordingError, match=r"the name '\\x1b\[2J' cannot be printed; rename it"):
+    with pytest.raises(RecordingError, match=r"the name '\\x1b\[2J-1' cannot be printed; rename it"):
         open_recording(tmp_path)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from depth_scene import camera_pose, write_images, write_pose_file, write_tum, write_xtion
+from folder_layouts import write_folder
 
 from adagmm_fusion.cli import main
 from adagmm_fusion.formats.tum import INTRINSICS as TUM_INTRINSICS
@@ -103,6 +104,17 @@ def test_convert_writes_our_layout_once(tmp_path, capsys):
         capsys.readouterr().err == f"adagmm-fusion: {out}: is there already and not an empty folder; give a new one\n"
     )
     assert len(open_recording(out)) == 1
+
+
+def test_convert_says_what_info_says(tmp_path, capsys):
+    write_folder(tmp_path / "walk", POSES, SMALL)
+    (tmp_path / "walk" / "depth" / "0001.png").unlink()
+    assert main(["info", str(tmp_path / "walk")]) == 0
+    said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("note: ")]
+    assert any("left out, without their depth image" in line for line in said)
+    assert any("taken for millimetres" in line for line in said)
+    assert main(["convert", str(tmp_path / "walk"), str(tmp_path / "copy")]) == 0
+    assert [line for line in capsys.readouterr().out.splitlines() if line.startswith("note: ")] == said
 
 
 def test_convert_takes_format_and_calibration(tmp_path):

@@ -5,7 +5,7 @@ import pickle
 import cv2
 import numpy as np
 import pytest
-from depth_scene import camera_pose, write_images, write_pose_file, write_redwood
+from depth_scene import camera_pose, write_images, write_pose_file
 
 from adagmm_fusion.errors import RecordingError, RigError
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
@@ -55,6 +55,13 @@ def test_fixed_sensors_pair_with_the_first_one(fixed):
     pair = pairs[0]
     assert (pair.source.sensor, pair.target.sensor) == ("right", "left")
     np.testing.assert_allclose(pair.T_target_source, se_inverse(POSES["left"]) @ POSES["right"], rtol=0, atol=1e-15)
+
+
+def test_frames_without_a_depth_image_of_the_first_sensor_are_said(fixed):
+    (fixed / "left" / "depth" / "000001.png").unlink()
+    recording = open_recording(fixed)
+    assert [entry.name for entry in recording.entries] == ["000000"] * 2
+    assert recording.notes == ("left out, without their depth image of left: 000001",)
 
 
 def test_frames_with_timestamps_and_pairs_across_time(fixed):
@@ -311,10 +318,9 @@ def test_what_is_no_recording(tmp_path):
 def test_two_formats_in_one_folder_must_be_told_apart(tmp_path):
     poses = [POSES["left"], POSES["right"]]
     write_pose_file(tmp_path, poses, INTRINSICS)
-    write_redwood(tmp_path / "other", poses, INTRINSICS)
-    for name in ("color", "trajectory.log", "camera_intrinsic.json"):
-        (tmp_path / "other" / name).rename(tmp_path / name)
-    with pytest.raises(RecordingError, match="could be redwood or posefile; say which"):
+    for name in ("rgb.txt", "depth.txt"):
+        (tmp_path / name).write_text("")
+    with pytest.raises(RecordingError, match="could be tum or posefile; say which"):
         open_recording(tmp_path)
     assert open_recording(tmp_path, format="posefile").format == "posefile"
 

@@ -97,10 +97,23 @@ def memory_recording(
 
 def test_depth_in_metres_becomes_millimetres(tmp_path):
     depth = np.full((48, 64), 1.2344, np.float32)
-    depth[0, :3] = (np.nan, 70.0, -1.0)
+    depth[0, :3] = (np.nan, np.inf, -1.0)
     convert_recording(memory_recording(tmp_path, [depth, depth], scales=(1.0, 1.0)), tmp_path / "copy")
     frame = open_recording(tmp_path / "copy")[0].source
     assert frame.depth_scale == 1000.0 and (frame.depth[1:] == 1234).all() and not frame.depth[0, :3].any()
+
+
+def test_depth_that_16_bits_do_not_hold_is_refused(tmp_path):
+    """It was written as no depth, without a word."""
+    depth = np.full((48, 64), 65.535, np.float32)
+    convert_recording(memory_recording(tmp_path, [depth, depth], scales=(1.0, 1.0)), tmp_path / "copy")
+    assert (open_recording(tmp_path / "copy")[0].source.depth == 65535).all()
+    far = depth.copy()
+    far[0, 0] = 70.0
+    match = r"memory: a: frame 1: expected depth up to 65\.535 m, .* got 70 m; set what is farther to 0"
+    with pytest.raises(RecordingError, match=match):
+        convert_recording(memory_recording(tmp_path, [depth, far], scales=(1.0, 1.0)), tmp_path / "other")
+    assert not (tmp_path / "other").exists()
 
 
 def test_unknown_poses_stay_unknown(tmp_path):

@@ -86,6 +86,27 @@ def test_clouds_with_a_pose_that_is_none(function, pose, error, message):
             InputError,
             "target_points: expected finite numbers, got nan at index (2, 0); drop such entries first",
         ),
+        (
+            POINTS / np.abs(POINTS).max() * 1e200,
+            POINTS,
+            np.eye(4),
+            InputError,
+            "source_points: expected coordinates up to 1e+140, got 1e+200; rescale",
+        ),
+        (
+            POINTS,
+            POINTS / np.abs(POINTS).max() * 1e200,
+            np.eye(4),
+            InputError,
+            "target_points: expected coordinates up to 1e+140, got 1e+200; rescale",
+        ),
+        (
+            POINTS,
+            POINTS,
+            np.eye(4) + 1e200 * np.outer(np.eye(4)[0], np.eye(4)[3]),
+            InputError,
+            "transformation: expected coordinates up to 1e+140, got 1e+200; rescale",
+        ),
         ([["a"]], POINTS, np.eye(4), InputTypeError, "source_points: expected an array of real numbers, got list"),
     ],
 )

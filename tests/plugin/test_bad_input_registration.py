@@ -18,6 +18,7 @@ from adagmm_o3d import (
     register_points,
     registration_adaptive_gmm,
 )
+from adagmm_o3d.options import Criteria
 
 reg, treg, core = o3d.pipelines.registration, o3d.t.pipelines.registration, o3d.core
 
@@ -77,7 +78,11 @@ ARRAY_CASES = [
     ("cloud.ply", InputTypeError, "points: expected an array of real numbers, got str"),
     ([[0.0, 1.0], [2.0]], InputTypeError, "points: expected an array of real numbers, got a ragged list"),
     (POINTS[3] + 1j, InputTypeError, "points: expected an array of real numbers, got dtype complex128"),
-    (POINTS[3].astype(object), InputTypeError, "points: expected an array of real numbers, got dtype object"),
+    (
+        np.where(POINTS[3] > 0, POINTS[3].astype(object), "1.0"),
+        InputTypeError,
+        "points: expected an array of real numbers, got dtype object",
+    ),
     (POINTS[3] > 0, InputTypeError, "points: expected an array of real numbers, got dtype bool"),
     (POINTS[3][:, 0], InputError, "points: expected shape (n, 2 or 3), got (60,)"),
     (POINTS[3][:, :1], InputError, "points: expected shape (n, 2 or 3), got (60, 1)"),
@@ -131,8 +136,12 @@ SETTING_CASES = [
         "criteria",
         reg.ICPConvergenceCriteria(max_iteration=-1),
         InputError,
-        "criteria.max_iteration: expected at least 0, got -1",
+        "criteria.max_iteration: expected an integer >= 0, got -1",
     ),
+    ("criteria", Criteria(1e-3, 20.5), InputTypeError, "criteria.max_iteration: expected an integer, got float"),
+    ("criteria", Criteria("a", 20), InputTypeError, "criteria.relative_rmse: expected a real number, got str"),
+    ("criteria", Criteria(None, 20), InputTypeError, "criteria.relative_rmse: expected a real number, got NoneType"),
+    ("criteria", Criteria(1e-3, None), InputTypeError, "criteria.max_iteration: expected an integer, got NoneType"),
     (
         "criteria",
         treg.ICPConvergenceCriteria(1e-6, -1.0, 30),
@@ -186,7 +195,13 @@ OPTION_CASES = [
     ({"sigma_rule": None}, InputError, "sigma_rule: expected one of 'posterior', "),
     ({"sigma_rule": ["nearest"]}, InputError, "sigma_rule: expected one of 'posterior', "),
     ({"start": "far"}, InputError, "start: expected one of 'auto', 'init', 'centroids', got 'far'"),
-    ({"start": 0}, InputError, "start: expected one of 'auto', 'init', 'centroids', got 0"),
+    ({"start": 0}, InputError, "start: expected one of 'auto', 'init', 'centroids', got int"),
+    ({"start": np.eye(4)}, InputError, "start: expected one of 'auto', 'init', 'centroids', got ndarray"),
+    (
+        {"sigma_rule": np.array(["posterior", "nearest"])},
+        InputError,
+        "sigma_rule: expected one of 'posterior', 'annealed', 'nearest', 'figure2', got ndarray",
+    ),
     ({"search": "no"}, InputTypeError, "search: expected a bool, got str"),
     ({"search": 1}, InputTypeError, "search: expected a bool, got int"),
     ({"mutuality": -0.1}, InputError, "mutuality: expected 0 <= mutuality <= 0.5 or None, got -0.1"),
@@ -324,6 +339,15 @@ def test_covariances_of_clouds(make, side, covariances, error, message):
     check(lambda: registration_adaptive_gmm(**arguments, max_correspondence_distance=0.1), error, f"{side}.{message}")
 
 
+@pytest.mark.parametrize("make", [legacy, lambda points: tensor(points, dtype=core.float64)])
+def test_clouds_whose_squares_overflow(make):
+    check(
+        lambda: registration_adaptive_gmm(make(1e200 * POINTS[3]), make(POINTS[3]), 0.1),
+        InputError,
+        "source.points: expected coordinates up to 1e+140, got ",
+    )
+
+
 def test_covariances_and_normals_that_do_not_match_the_points():
     good = legacy(POINTS[3])
     check(
@@ -448,15 +472,13 @@ def test_init_of_clouds(make, init, error, message):
         check(lambda: registration_adaptive_gmm(*clouds, 0.1, init_source_to_target=start), error, message)
 
 
-@pytest.mark.parametrize(
-    ("epsilon", "message"), [(0.0, "expected a finite number > 0, got 0"), (1.5, "expected at most 1, got 1.5")]
-)
-def test_the_thickness_of_surfaces(epsilon, message):
+@pytest.mark.parametrize("epsilon", [-0.1, np.nan, np.inf])
+def test_the_thickness_of_surfaces(epsilon):
     method = reg.TransformationEstimationForGeneralizedICP(epsilon=epsilon)
     check(
         lambda: registration_adaptive_gmm(legacy(POINTS[3]), legacy(POINTS[3]), 0.1, np.eye(4), method),
         InputError,
-        f"estimation_method.epsilon: {message}",
+        f"estimation_method.epsilon: expected a finite number >= 0, got {epsilon:g}",
     )
 
 

@@ -81,6 +81,32 @@ VIEWED = [
 ]
 
 
+TOO_LARGE = put(POINTS, (1, 0), 1e200)
+
+
+@pytest.mark.parametrize(
+    "estimate",
+    [
+        estimate_surface_covariances,
+        lambda points: estimate_surface_covariances(points[:, :2]),
+        lambda points: estimate_surface_covariances(points, NORMALS),
+        lambda points: estimate_kinect_covariances(points, NORMALS),
+        lambda points: estimate_kinect_surface_covariances(points, NORMALS, 525.0),
+        lambda points: estimate_nguyen_covariances(points, NORMALS, 525.0),
+        estimate_lidar_covariances,
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_coordinates_whose_squares_overflow(estimate):
+    check(lambda: estimate(TOO_LARGE), InputError, "points: expected coordinates up to 1e+140, got 1e+200; rescale")
+
+
+@pytest.mark.filterwarnings("error")
+def test_an_origin_whose_square_overflows():
+    message = "origin: expected coordinates up to 1e+140, got 1e+200; rescale"
+    check(lambda: estimate_lidar_covariances(POINTS, origin=(1e200, 0.0, 0.0)), InputError, message)
+
+
 @pytest.mark.parametrize("points, normals, error, message", VIEWED)
 def test_points_and_normals_of_the_kinect_model(points, normals, error, message):
     check(lambda: estimate_kinect_covariances(points, normals), error, message)

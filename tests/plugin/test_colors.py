@@ -10,7 +10,7 @@ from adagmm_o3d import InputError, TransformationEstimationForAdaptiveGMM, regis
 from adagmm_o3d.errors import InputTypeError
 from adagmm_o3d.evaluation import pose_errors
 from adagmm_o3d.lie import se_exp
-from adagmm_o3d.mixtures.colours import ColourModel, lab_of
+from adagmm_o3d.mixtures.colours import ColourModel, checked_colors, lab_of
 from adagmm_o3d.mixtures.mixture import make_mixture
 from adagmm_o3d.trust.held_by_colour import free_of_colours
 
@@ -234,6 +234,21 @@ def test_colours_help_in_the_plane_too():
     result = register_points(source, target, source_colors=colors[:300], target_colors=colors[300:])
     np.testing.assert_allclose(result.transformation[:2, :2], R, rtol=0, atol=0.01)
     np.testing.assert_allclose(result.transformation[:2, 2], t, rtol=0, atol=0.02)
+
+
+def test_colours_that_overshoot_are_cut_off(wall):
+    lowest, highest = wall.source_colors.min(), wall.source_colors.max()
+    seen = 1.08 * (wall.source_colors - lowest) / (highest - lowest) - 0.04
+    counts = len(seen), len(wall.target_colors)
+    for given in (seen, np.clip(seen, 0.0, 2.0)):
+        cut, _ = checked_colors(given, wall.target_colors, counts)
+        expected, _ = checked_colors(np.clip(seen, 0.0, 1.0), wall.target_colors, counts)
+        np.testing.assert_array_equal(cut, expected)
+    for wrong, words in ((1.06, r"0 to 1, got 1\.06; divide by 255"), (-0.06, r"at least 0, got -0\.06")):
+        with pytest.raises(InputError, match=rf"^source\.colors: expected .*{words}"):
+            checked_colors(np.full((5, 3), wrong), np.ones((5, 3)), (5, 5))
+    with pytest.raises(InputError, match=r"at least 0, got -0\.01"):
+        checked_colors(np.full(5, -0.01), np.ones(5), (5, 5))
 
 
 @pytest.mark.parametrize(

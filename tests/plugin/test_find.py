@@ -123,11 +123,16 @@ def end_at(pose):
     return End(pose, 1e-3, 0.5, 0.0, pose, (), 0, True)
 
 
+def end_from(pose):
+    """Started at the identity."""
+    return end_at(pose)._replace(start=np.eye(4))
+
+
 @pytest.mark.parametrize("at_start, elsewhere, left", [(-0.16, 0.07, True), (0.05, 0.2, False), (-0.4, -0.2, False)])
 def test_a_start_where_the_clouds_rather_lie_apart_is_left_for_a_pose_where_they_overlap(at_start, elsewhere, left):
     all_holds = SimpleNamespace(held=lambda pose: 1.0)
     near = find.Candidate(all_holds, end_at(np.eye(4)), at_start)
-    chosen = find._chosen([near], [find.Candidate(all_holds, end_at(THERE), elsewhere)], 1e-3)[0]
+    chosen = find._chosen([near], [find.Candidate(all_holds, end_at(THERE), elsewhere)], 1.0, vouched=False)[0]
     np.testing.assert_array_equal(chosen.pose, THERE if left else np.eye(4))
 
 
@@ -143,7 +148,7 @@ def test_of_a_pose_of_more_evidence_that_holds_less_the_other_is_taken(held_ther
     pool = [
         find.Candidate(judge, end_at(pose), value) for pose, value in ((THERE, 0.3), (np.eye(4), 0.1), (hopeless, -1.0))
     ]
-    end, rivals = find._chosen([], pool, 1e-3)
+    end, rivals = find._chosen([], pool, 1.0, vouched=False)
     np.testing.assert_array_equal(end.pose, chosen)
     assert len(asked) == 2  # whether a pose of too little evidence holds changes nothing
     # one that explains as much is a rival, whether or not it holds
@@ -154,8 +159,85 @@ def test_a_pose_that_must_hold_and_does_not_is_a_rival_only():
     half_holds = SimpleNamespace(held=lambda pose: 0.5)
     pool = [find.Candidate(half_holds, end_at(np.eye(4)), 0.5), find.Candidate(half_holds, end_at(THERE), 0.5, 0.95)]
     for candidates in (pool, pool[::-1]):
-        end, rivals = find._chosen([], candidates, 1e-3)
+        end, rivals = find._chosen([], candidates, 2.0, vouched=False)
         np.testing.assert_array_equal([end.pose, *rivals], [np.eye(4), THERE])
+
+
+def test_of_poses_near_the_start_that_explain_the_same_the_nearest_is_taken():
+    holds = SimpleNamespace(held=lambda pose: 1.0)
+    slid = se_exp(np.array([0.0, 0.0, 0.0, 0.2, 0.0, 0.0]))
+    for better, taken in ((0.02, np.eye(4)), (0.2, slid)):
+        near = [find.Candidate(holds, end_at(np.eye(4)), 1.0), find.Candidate(holds, end_from(slid), 1.0 + better)]
+        np.testing.assert_array_equal(find._chosen(near, [], 2.0, vouched=False)[0].pose, taken)
+
+
+@pytest.mark.parametrize(
+    "at_start, held, vouched, kept",
+    [(0.6, 1.0, False, True), (0.4, 1.0, False, False), (0.4, 1.0, True, True), (0.6, 0.8, True, False)],
+)
+def test_a_start_that_may_be_right_is_kept_though_elsewhere_more_is_explained(at_start, held, vouched, kept):
+    judge = SimpleNamespace(held=lambda pose: 1.0 if np.array_equal(pose, THERE) else held)
+    near, there = find.Candidate(judge, end_at(np.eye(4)), at_start), find.Candidate(judge, end_at(THERE), 1.5)
+    end, rivals = find._chosen([near], [there], 1.0, vouched=vouched)
+    np.testing.assert_array_equal(end.pose, np.eye(4) if kept else THERE)
+    assert all(np.array_equal(rival, THERE) for rival in rivals) and bool(rivals) == kept
+
+
+@pytest.mark.parametrize("evidence, held, rival", [(0.6, 1.0, True), (0.6, 0.8, False), (0.4, 1.0, False)])
+def test_a_pose_that_explains_as_much_as_halves_of_a_cloud_do_is_a_rival_of_one_that_explains_more(
+    evidence, held, rival
+):
+    judge = SimpleNamespace(held=lambda pose: held if np.array_equal(pose, THERE) else 1.0)
+    close = se_exp(np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0]))  # is the same place
+    pool = [
+        find.Candidate(judge, end_at(pose), value)
+        for pose, value in ((np.eye(4), 1.5), (THERE, evidence), (close, 0.9))
+    ]
+    end, rivals = find._chosen([], pool, 1.0, vouched=False)
+    np.testing.assert_array_equal(end.pose, np.eye(4))
+    assert len(rivals) == rival and all(np.array_equal(one, THERE) for one in rivals)
+
+
+def rooms_ends(seed):
+    """A room with four boxes, of which either cloud lacks another end, and the pose of 3° between them. Turned by half
+    a turn all walls come together."""
+    rng = np.random.default_rng(seed)
+    width, depth, height = rng.uniform(3.0, 6.0), rng.uniform(3.0, 6.0), 2.5
+    faces = [
+        ((0, 0, 0), (width, depth, 0)),
+        ((0, 0, 0), (width, 0, height)),
+        ((0, depth, 0), (width, 0, height)),
+        ((0, 0, 0), (0, depth, height)),
+        ((width, 0, 0), (0, depth, height)),
+    ]
+    for _ in range(4):
+        size = rng.uniform(0.3, 1.2, 3)
+        low = np.append(rng.uniform(0.0, [width - size[0], depth - size[1]]), 0.0)
+        for axis in range(3):
+            side = np.where(np.arange(3) == axis, 0.0, size)
+            faces += [(low, side), (low + size - side, side)]
+    low, size = (np.array(part, float) for part in zip(*faces, strict=True))
+    areas = np.array([np.prod(side[side > 0.0]) for side in size])
+
+    def seen(direction):
+        of = rng.choice(len(areas), 1200, p=areas / areas.sum())
+        points = low[of] + size[of] * rng.uniform(size=(1200, 3))
+        along = points @ direction
+        points = points[along < np.quantile(along, 0.8)]
+        return points + 0.003 * rng.normal(size=points.shape)
+
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    direction = np.array([np.cos(angle), np.sin(angle), 0.0])
+    T = se_exp(np.array([0.0, 0.0, 0.05, 0.02, -0.03, 0.01]))
+    return seen(direction), move(seen(-direction), T), T
+
+
+@pytest.mark.parametrize("vouched", [False, True])
+def test_a_room_that_is_nearly_aligned_stays_so(vouched):
+    for seed in (9, 13, 26):
+        source, target, T = rooms_ends(seed)
+        errors = pose_errors(T, register_points(source, target, init=T if vouched else None).transformation)
+        assert errors.rotation_deg < 3.0 and errors.translation < 0.2, (seed, errors)
 
 
 def test_ends_on_the_way_to_one_place_are_no_rivals():

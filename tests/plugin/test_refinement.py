@@ -4,6 +4,7 @@ import numpy as np
 import open3d as o3d
 import pytest
 from mixtures import random_pose
+from numpy.testing import assert_array_equal
 from shapes import bumpy, move
 
 from adagmm_bench.pairs.lidar_scene import scan_pair
@@ -12,6 +13,7 @@ from adagmm_o3d.evaluation import pose_errors
 from adagmm_o3d.mixtures import condensing
 from adagmm_o3d.mixtures.condensing import Condensed
 from adagmm_o3d.mixtures.mixture import make_mixture
+from adagmm_o3d.options import Criteria
 from adagmm_o3d.pairs.cpu_pairs import PairLoop
 from adagmm_o3d.result import StopReason
 from adagmm_o3d.search import refinement
@@ -155,3 +157,24 @@ def test_the_iterations_at_all_scales_are_bounded_together(dense):
     )
     assert len(levels) == result.iterations == 9 and levels.count(refinement.LEVEL) == 6
     assert result.stop_reason is StopReason.MAX_ITERATION and result.row_weights.shape == (N,)
+
+
+@pytest.mark.parametrize(
+    "criteria", [o3d.pipelines.registration.ICPConvergenceCriteria(1e-6, 1e-6, 10**9), Criteria(1e-6, 10**15)]
+)
+def test_any_number_of_iterations_is_allowed(criteria):
+    """Memory is taken for those that are done, not for all that might be."""
+    rng = np.random.default_rng(0)
+    points = bumpy(rng, 500, 3)
+    result = register_points(points, move(points, random_pose(rng, 3, angle=0.1, distance=0.1)), criteria=criteria)
+    assert result.converged and result.iterations < 1000
+
+
+def test_portions_of_iterations_change_no_bit(monkeypatch):
+    rng = np.random.default_rng(0)
+    points = bumpy(rng, 1000, 3) + 0.02 * rng.normal(size=(1000, 3))
+    clouds, criteria = (points[:500], points[500:]), Criteria(1e-9, 60)
+    whole = register_points(*clouds, criteria=criteria)
+    assert whole.iterations > 20
+    monkeypatch.setattr(refinement, "PORTION", 7)
+    assert_array_equal(register_points(*clouds, criteria=criteria).transformations, whole.transformations)

@@ -288,6 +288,17 @@ def test_the_thickness_of_gicp_is_that_of_the_surface(pair):
     assert bits(result) != bits(registration_adaptive_gmm(pair.source, pair.target, 0.05))
 
 
+@pytest.mark.parametrize(("epsilon", "meant"), [(0.0, 1e-3), (2.0, 1.0)])
+def test_a_thickness_that_is_none_of_a_surface_is_taken(pair, epsilon, meant):
+    results = [
+        registration_adaptive_gmm(
+            pair.source, pair.target, 0.05, None, reg.TransformationEstimationForGeneralizedICP(epsilon=value)
+        )
+        for value in (epsilon, meant)
+    ]
+    assert bits(results[0]) == bits(results[1])
+
+
 def test_init_is_where_it_starts(pair):
     init = random_pose(np.random.default_rng(3), 3, angle=0.05, distance=0.02) @ pair.T
     result = registration_adaptive_gmm(pair.source, pair.target, 0.05, init)

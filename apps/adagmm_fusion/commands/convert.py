@@ -2,7 +2,7 @@
 
 import argparse
 
-from adagmm_fusion.commands.recording_arguments import add_recording_arguments, recording_of
+from adagmm_fusion.commands.recording_arguments import add_recording_arguments, print_notes, recording_of
 from adagmm_fusion.processes.terminal import printable
 
 
@@ -30,4 +30,5 @@ def run(args: argparse.Namespace) -> int:
         manifest = convert_recording(recording, args.output, on_frame=report)
     frames = f"{len(recording.entries)} frame(s) of {', '.join(recording.sensors)}"
     print(printable(f"{manifest}: {frames}, {len(recording)} pair(s)"))
+    print_notes(recording)
     return 0

@@ -2,7 +2,7 @@
 
 import argparse
 
-from adagmm_fusion.commands.recording_arguments import add_recording_arguments, recording_of
+from adagmm_fusion.commands.recording_arguments import add_recording_arguments, print_notes, recording_of
 from adagmm_fusion.processes.terminal import printable, say, table_console
 
 
@@ -21,8 +21,6 @@ def run(args: argparse.Namespace) -> int:
     AdaGMMError  if the recording cannot be opened.
     """
     from adagmm_fusion.commands.progress import progress_bar
-    from adagmm_fusion.errors import one_line
-    from adagmm_fusion.pairs.plausibility import recording_warnings
     from adagmm_fusion.recordings.summary import summarize_recording, summary_tables
 
     recording = recording_of(args)
@@ -31,8 +29,7 @@ def run(args: argparse.Namespace) -> int:
     console = table_console()
     for table in summary_tables(summary):
         console.print(table)
-    for note in (*recording.notes, *recording_warnings(recording)):
-        print(f"note: {one_line(note)}")
+    print_notes(recording)
     for problem in summary.problems:
         say(f"adagmm-fusion: {printable(' '.join(problem.split()))}")
     return 1 if summary.problems else 0

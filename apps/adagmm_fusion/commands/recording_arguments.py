@@ -29,3 +29,12 @@ def recording_of(args: argparse.Namespace) -> "Recording":
     from adagmm_fusion.recordings.opening import open_recording
 
     return open_recording(args.recording, format=args.format, rig=args.calibration, step=args.step)
+
+
+def print_notes(recording: "Recording") -> None:
+    """A line for each thing that reading left out or took for granted, or that looks wrong; loads a few frames."""
+    from adagmm_fusion.errors import one_line
+    from adagmm_fusion.pairs.plausibility import recording_warnings
+
+    for note in (*recording.notes, *recording_warnings(recording)):
+        print(f"note: {one_line(note)}")

@@ -20,17 +20,30 @@ import numpy as np
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.exr_file import EXR_SIGNATURE, decode_exr
+from adagmm_fusion.files.input_file import read_input
 
 DEPTH_SUFFIXES = (".png", ".tiff", ".tif", ".exr", ".npy", ".pgm")
 MAX_PIXELS = 1 << 26  # a file of a few bytes can claim to be an image of gigabytes
 MAX_HEADER = 10_000
 
+NPY_SIGNATURE = b"\x93NUMPY"
 NPY_KEYS = {
     "descr": r"'([<>|=][uif][1248])'",
     "fortran_order": "(True|False)",
     "shape": r"\(([0-9, ]{0,60})\)",
 }
 TIFF_SIZES = {3: 2, 4: 4}
+
+
+def read_array(path: Path) -> np.ndarray:
+    """The array of a .npy file, float64, of any shape. Raises RecordingError naming the file if it is none."""
+    data = read_input(path, RecordingError)
+    try:
+        if not data.startswith(NPY_SIGNATURE):
+            raise ValueError("it is no .npy file")
+        return _numpy(data).astype(np.float64)
+    except (ValueError, TypeError, struct.error, OverflowError, MemoryError) as problem:
+        raise RecordingError(f"{path}: the array cannot be used: {problem}") from problem
 
 
 def decoder_of(first_bytes: bytes) -> Callable[[bytes, Path], np.ndarray] | None:
@@ -140,7 +153,7 @@ def _tiff(data: bytes) -> np.ndarray:
 
 
 SIGNATURES: dict[bytes, Callable[[bytes], np.ndarray]] = {
-    b"\x93NUMPY": _numpy,
+    NPY_SIGNATURE: _numpy,
     b"P5": _pgm,
     b"II*\0": _tiff,
     b"MM\0*": _tiff,

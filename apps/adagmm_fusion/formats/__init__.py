@@ -1,8 +1,9 @@
 """The recording formats, one file each.
 
-A format is a module with `NAME` (what --format takes), `SUMMARY` (one line), `matches(path) -> bool` (cheap, looks
-at names only) and `read(path, options) -> Recording` (strict; images are loaded later). It is listed in MODULES, and
-that is all. Another package adds one by an entry point of the group `adagmm_fusion.formats` that names such a module.
+A format is a module with `NAME` (what --format takes), `SUMMARY` (one line), `matches(path) -> bool` (cheap: looks at
+names, and at a small text where these do not tell) and `read(path, options) -> Recording` (strict; images are loaded
+later). It is listed in MODULES, and that is all. Another package adds one by an entry point of the group
+`adagmm_fusion.formats` that names such a module.
 """
 
 import importlib

@@ -17,6 +17,7 @@ from adagmm_fusion.files.image_files import inside
 from adagmm_fusion.files.input_file import is_given
 from adagmm_fusion.formats.listed_frames import ListedFrame, recording_of_frames
 from adagmm_fusion.formats.options import ReadOptions
+from adagmm_fusion.formats.pose_columns import in_usual_order, quaternion_columns
 from adagmm_fusion.formats.text_table import parse_numbers, parse_quaternion_pose, read_rows
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.recordings.frame_sequence import Recording
@@ -56,8 +57,9 @@ def read(folder: Path, options: ReadOptions) -> Recording:
 
 
 def _read_poses(path: Path) -> dict[float, np.ndarray]:
-    poses = {}
+    poses, columns = {}, quaternion_columns(path)
     for where, words in read_rows(path):
+        words = in_usual_order(words, columns, where)
         number, *numbers = parse_numbers(words, 8, where)
         poses[number] = MIRROR @ parse_quaternion_pose(numbers, where) @ MIRROR
     return poses

@@ -1,7 +1,7 @@
 """Which files of a folder are colour and which are depth images, and which belong together."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import islice
@@ -93,7 +93,8 @@ def pair_images(lists: ImageLists) -> list[tuple[str, Path, Path]]:
             break
     else:
         frames = _paired_by_time(lists, times)
-    return sorted(frames, key=lambda frame: (times.get(frame[2], _number_or_last(frame[2])), frame[2].name))
+    key_of = in_order(lists)
+    return sorted(frames, key=lambda frame: key_of(frame[2]))
 
 
 def number_of(path: Path) -> float | None:
@@ -151,9 +152,15 @@ def _last_number(path: Path) -> int | None:
     return int(found[-1][-18:]) if found else None
 
 
-def _number_or_last(path: Path) -> float:
-    number = number_of(path)
-    return np.inf if number is None else number
+def in_order(lists: ImageLists) -> Callable[[Path], tuple[float, str]]:
+    """What these images are sorted by: the time, where the names are dates with times, else the number in the name."""
+    times = _date_times(lists)
+
+    def key(path: Path) -> tuple[float, str]:
+        number = times.get(path, number_of(path))
+        return (np.inf if number is None else number, path.name)
+
+    return key
 
 
 def _date_times(lists: ImageLists) -> dict[Path, float]:

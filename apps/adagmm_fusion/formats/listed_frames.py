@@ -59,7 +59,8 @@ def recording_of_frames(
         load = partial(load_listed_frame, frame, sensor, *calibration)
         entries.append(FrameEntry(frame.name, sensor, load, frame.T_world_camera, frame.timestamp))
     pairs = sequential_pairs(len(entries), options.step)
-    return Recording(folder.stem, folder, format, tuple(entries), pairs, notes=tuple(notes))
+    name = folder.name if folder.is_dir() else folder.stem
+    return Recording(name, folder, format, tuple(entries), pairs, notes=tuple(notes))
 
 
 def load_listed_frame(

@@ -57,9 +57,11 @@ def read(folder: Path, options: ReadOptions) -> Recording:
     sensors = _read_sensors(keys["sensors"])
     rig = options.rig if options.rig is not None else load_rig(_find_rig(folder, keys["rig"]))
     calibrations = [rig.sensor(name) for name in sensors]
-    frames = (
-        _read_frames(keys["frames"], sensors, moving) if "frames" in keys else _find_frames(folder, sensors[0], moving)
-    )
+    notes: tuple[str, ...] = ()
+    if "frames" in keys:
+        frames = _read_frames(keys["frames"], sensors, moving)
+    else:
+        frames, notes = _find_frames(folder, sensors, moving)
     if len(frames) * len(calibrations) > MAX_IMAGES:
         raise RecordingError(f"{folder}: expected at most {MAX_IMAGES} frames of all sensors")
     entries = []
@@ -75,7 +77,7 @@ def read(folder: Path, options: ReadOptions) -> Recording:
     else:
         pairs = _default_pairs(len(frames), len(sensors), options.step)
     pairs = tuple(_within_rig(pair, entries, rig) for pair in pairs)
-    return Recording(keys["name"].text(), folder, NAME, tuple(entries), pairs, moving)
+    return Recording(keys["name"].text(), folder, NAME, tuple(entries), pairs, moving, notes)
 
 
 def _load(folder: Path, frame: str, sensor: SensorCalibration, timestamp: float | None) -> RGBDFrame:
@@ -154,11 +156,25 @@ def _read_pose(item: Item) -> np.ndarray:
         item.fail(str(problem))
 
 
-def _find_frames(folder: Path, sensor: str, moving: bool) -> list[tuple[str, dict, np.ndarray | None]]:
-    depths = inside(folder, f"{sensor}/depth", str(folder))
+def _find_frames(
+    folder: Path, sensors: list[str], moving: bool
+) -> tuple[list[tuple[str, dict, np.ndarray | None]], tuple[str, ...]]:
+    """The frames that the first sensor has depth images of, and what to say of those that only other images are of."""
+    first = f"{sensors[0]}/depth"
+    depths = inside(folder, first, str(folder))
     if not depths.is_dir():
         raise RecordingError(f"{depths}: the folder of depth images is missing")
-    return [(path.stem, {}, None if moving else np.eye(4)) for path in listed_images(depths, DEPTH_SUFFIXES)]
+    names = [path.stem for path in listed_images(depths, DEPTH_SUFFIXES)]
+    alone: set[str] = set()
+    for kind, suffixes in (("color", COLOR_SUFFIXES), ("depth", DEPTH_SUFFIXES)):
+        for sensor in sensors:
+            images = inside(folder, f"{sensor}/{kind}", str(folder))
+            if images.is_dir():
+                alone.update(path.stem for path in listed_images(images, suffixes))
+    alone -= set(names)
+    more = f" and {len(alone) - 3} more" if len(alone) > 3 else ""
+    note = f"left out, without their depth image of {sensors[0]}: {', '.join(sorted(alone)[:3])}{more}"
+    return [(name, {}, None if moving else np.eye(4)) for name in names], (note,) if alone else ()
 
 
 def _read_pairs(item: Item, entries: list[FrameEntry]) -> tuple[PairEntry, ...]:

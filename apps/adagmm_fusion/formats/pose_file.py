@@ -4,7 +4,8 @@
     depth/*.png             16 bit, millimetres, 0 none, registered to the colour image, same names as in images/
     K.txt                   3x3 camera matrix
     all_frame_names.txt     one image name a line
-    poses.txt               16 numbers a line, T_world_camera row by row, metres; as many lines as all_frame_names.txt
+    poses.txt               16 numbers a line, T_world_camera row by row, metres; as many lines as all_frame_names.txt;
+                            one of NaN where tracking was lost
     pairs.txt               optional: lines "source_name target_name"
 
 Frames that are listed and of which neither image is there (a trimmed copy) are passed over.
@@ -17,7 +18,7 @@ from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import image_size, inside, load_frame
 from adagmm_fusion.files.input_file import is_given
 from adagmm_fusion.formats.options import ReadOptions, intrinsics_from_matrix
-from adagmm_fusion.formats.text_table import parse_numbers, parse_pose, read_matrix, read_rows
+from adagmm_fusion.formats.text_table import parse_pose_or_lost, read_matrix, read_rows
 from adagmm_fusion.recordings.frame_sequence import FrameEntry, PairEntry, Recording, sequential_pairs
 
 NAME = "posefile"
@@ -37,7 +38,7 @@ def read(folder: Path, options: ReadOptions) -> Recording:
             raise RecordingError(f"{where}: expected one image name, got {' '.join(words)!r}")
         color, depth = (inside(folder, f"{kind}/{words[0]}", where) for kind in ("images", "depth"))
         names.append((words[0], color, depth))
-    poses = [parse_pose(parse_numbers(words, 16, where), where) for where, words in read_rows(folder / "poses.txt")]
+    poses = [parse_pose_or_lost(words, where) for where, words in read_rows(folder / "poses.txt")]
     if len(poses) != len(names):
         raise RecordingError(
             f"{folder / 'poses.txt'}: expected {len(names)} poses, as all_frame_names.txt has names, got {len(poses)}"

@@ -2,9 +2,12 @@
 
     a file a frame      in a folder called pose, poses, extrinsics, c2w, ..., or beside the images: 3x4 or 4x4 numbers
     one file            a line a frame of 16 or 12 numbers, also behind the frame's number or time; of 8: time tx ty tz
-                        qx qy qz qw; of 7: without time; or Redwood's .log: three integers and four lines of four
+                        qx qy qz qw; of 7: without time; or 4x4 or 3x4 numbers one below the other, also below the
+                        frame's number or, as in Redwood's .log, three integers
+    an array            poses.npy of (N, 4, 4), (N, 3, 4) or such lines
 
-Lines without number or time must be as many as frames. Arrays (.npy) are not read.
+Headings or a comment above may name other columns of x y z and the quaternion. Lines without number or time must be as
+many as frames, or as colour or as depth images where some have no partner. A pose of NaN is none: tracking was lost.
 """
 
 import re
@@ -14,15 +17,21 @@ from pathlib import Path
 import numpy as np
 
 from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.files.depth_files import read_array
 from adagmm_fusion.files.image_files import inside
-from adagmm_fusion.formats.image_lists import number_of
-from adagmm_fusion.formats.text_table import parse_numbers, parse_pose, parse_quaternion_pose, read_rows
+from adagmm_fusion.formats.image_lists import NUMBER, find_images, in_order, number_of, pair_images
+from adagmm_fusion.formats.pose_columns import in_usual_order, quaternion_columns
+from adagmm_fusion.formats.text_table import is_lost, parse_numbers, parse_pose, parse_quaternion_pose, read_rows
 from adagmm_fusion.formats.time_units import units_per_second
 
 NAME = re.compile(
     r"pose|traj|ground_?truth|(^|[._-])gt([._-]|$)|odom|extrinsic|c2w|w2c|cam_?to_?world|world_?to_?cam", re.I
 )
-SUFFIXES = (".txt", ".csv", ".log", ".freiburg", ".tum", ".kitti")
+BINARY = (".npy",)
+SUFFIXES = (".txt", ".csv", ".log", ".freiburg", ".tum", ".kitti", *BINARY)
+NOT_READ = (".json", ".yaml", ".yml", ".npz", ".mat", ".pkl")
+EXPECTED = "a pose of 7, 12 or 16 numbers a line, with the frame's number or time before it or without"
+MAX_POSES = 1_000_000
 NO_POSE = re.compile(r"depth_?(2|to)|color_?(2|to)|extrinsic_?(depth|colou?r)|readme|license", re.I)
 BETTER_FIRST = (r"ground_?truth|(^|[._-])gt([._-]|$)", "traj", "pose|c2w|w2c")
 # Names that say which way round.
@@ -44,26 +53,40 @@ class PoseList:
         self.to_world = True if TO_WORLD.search(name) else False if TO_CAMERA.search(name) else None
 
 
-def find_poses(folder: Path, images: Sequence[Path]) -> PoseList | None:
+def find_poses(folder: Path, images: Sequence[Path], notes: list[str] | None = None) -> PoseList | None:
     """The poses of the frames whose depth images these are; None if there is no file of poses.
+
+    Parameters
+    ----------
+    notes : gets a line for each file that by its name has poses and is not understood.
 
     Raises
     ------
     RecordingError  naming file and line, if a file of poses cannot be read or does not fit the frames.
     """
+    notes = [] if notes is None else notes
     for place in (folder, *(p for p in sorted(folder.iterdir()) if p.is_dir() and NAME.search(p.name))):
-        named = [path for path in sorted(place.iterdir()) if path.suffix.lower() in SUFFIXES]
+        named = [path for path in sorted(place.iterdir()) if path.suffix.lower() in (*SUFFIXES, *NOT_READ)]
         if place == folder:
             named = [path for path in named if NAME.search(path.name)]
         named = [path for path in named if not NO_POSE.search(path.name)]
         named.sort(key=lambda path: (_rank(path.name), path.name))
         named = [inside(folder, str(path.relative_to(folder)), str(folder)) for path in named]
-        numbered = {number: path for path in named if (number := number_of(_without_kind(path))) is not None}
-        if len(numbered) == len(named) and len(named) > 1:
-            return _a_file_a_frame(numbered, images)
+        known = [path for path in named if path.suffix.lower() in SUFFIXES]
+        numbered = [(number, path) for path in known if (number := number_of(_without_kind(path))) is not None]
+        by_number = dict(numbered)
+        # What has no number beside a file a frame is about something else.
+        if len(by_number) == len(numbered) > 1 and any(number_of(image) in by_number for image in images):
+            return _a_file_a_frame(by_number, images)
+        left_out = []
         for path in named:
-            if (poses := _one_file(path, images)) is not None:
+            poses = _one_file(path, folder, images) if path in known else None
+            if poses is not None:
                 return PoseList(poses, path)
+            left_out.append(str(path.relative_to(folder)))
+        if left_out:
+            more = f" and {len(left_out) - 3} more" if len(left_out) > 3 else ""
+            notes.append(f"{', '.join(left_out[:3])}{more}: not understood, left out; expected {EXPECTED}")
     return None
 
 
@@ -86,9 +109,8 @@ def _a_file_a_frame(numbered: dict[float, Path], images: Sequence[Path]) -> Pose
 
 def read_pose_file(path: Path) -> np.ndarray | None:
     """A file of one pose, 3x4 or 4x4, as (4, 4); None where it holds NaN or infinity: tracking was lost."""
-    words = [word for _, row in read_rows(path) for word in row if word]
-    words = re.sub(r"[\[\],;]", " ", " ".join(words)).split()
-    if any(word.lower().lstrip("+-") in ("nan", "inf") for word in words):
+    words = [word for _, row in _rows(path) for word in row]
+    if is_lost(words):
         return None
     if len(words) not in (12, 16):
         raise RecordingError(f"{path}: expected a pose of 12 or 16 numbers, got {len(words)} words")
@@ -106,45 +128,124 @@ def _pose(numbers: Sequence[float], where: str) -> np.ndarray:
     return parse_pose(T, where)
 
 
-def _one_file(path: Path, images: Sequence[Path]) -> list[np.ndarray | None] | None:
-    rows = [(where, re.sub(r"[,;\[\]]", " ", " ".join(words)).split()) for where, words in read_rows(path)]
+def _one_file(path: Path, folder: Path, images: Sequence[Path]) -> list[np.ndarray | None] | None:
+    rows = _rows(path)
     if rows and re.match(r"[A-Za-z_]", rows[0][1][0] if rows[0][1] else ""):
         rows = rows[1:]  # headings
+    rows = _blocks(rows)
     counts = {len(words) for _, words in rows}
-    if counts == {3, 4} and len(rows) % 5 == 0:
-        rows = [
-            (rows[i][0], sum((words for _, words in rows[i + 1 : i + 5]), rows[i][1][:1]))
-            for i in range(0, len(rows), 5)
-        ]
-        counts = {17}
-    if (len(rows) == 4 and counts == {4}) or not rows or len(counts) != 1:
+    columns = quaternion_columns(path) if path.suffix.lower() not in BINARY else None
+    if columns is not None:
+        rows = [(where, in_usual_order(words, columns, where)) for where, words in rows]
+        counts = {len(words) for _, words in rows}
+    if len(counts) != 1 or not counts <= {7, 8, 12, 13, 16, 17}:
         return None
-    count = counts.pop()
-    if count not in (7, 8, 12, 13, 16, 17):
-        return None
-    numbers = [parse_numbers(words, count, where) for where, words in rows]
-    poses = [
-        _pose(row if count in (7, 8, 12, 16) else row[1:], where) for row, (where, _) in zip(numbers, rows, strict=True)
+    with_key = not counts <= {7, 12, 16}
+    keys = [parse_numbers(words[:1], 1, where)[0] for where, words in rows] if with_key else None
+    poses = [_pose_or_lost(words[1:] if with_key else words, where) for where, words in rows]
+    return _by_line(path, poses, folder, images) if keys is None else _matched(keys, poses, images)
+
+
+def _rows(path: Path) -> list[tuple[str, list[str]]]:
+    """("file:line", the words) of each line; of an array each matrix is a line, of a single one each row."""
+    if path.suffix.lower() not in BINARY:
+        return [(where, re.sub(r"[,;\[\]]", " ", " ".join(words)).split()) for where, words in read_rows(path)]
+    array = read_array(path)
+    table = array.reshape(len(array), -1) if array.ndim in (2, 3) else np.zeros((0, 0))
+    return [(f"{path}: [{i}]", [repr(float(x)) for x in row]) for i, row in enumerate(table[:MAX_POSES])]
+
+
+def _blocks(rows: list[tuple[str, list[str]]]) -> list[tuple[str, list[str]]]:
+    """A row a pose, where each has several: 4x4 or 3x4 numbers one below the other, or Redwood's or the frame's number
+    above each."""
+    counts = {len(words) for _, words in rows}
+    if counts == {4} and len(rows) > 4:
+        last_rows = {tuple(words) for _, words in rows[3::4]}
+        has_last_row = len(rows) % 4 == 0 and all(_is_last_row(words) for words in last_rows)
+        height = 4 if has_last_row else 3
+        if not has_last_row and not _is_pose([word for _, words in rows[:3] for word in words]):
+            return rows  # such as a place and a time a line
+    elif counts in ({3, 4}, {1, 4}):
+        height = 5
+    else:
+        return rows
+    first = 1 if height == 5 else 4  # words that count of a pose's first row
+    if len(rows) % height or (height == 5 and any(len(words) == 4 for _, words in rows[::5])):
+        return rows
+    return [
+        (rows[i][0], [*rows[i][1][:first], *(word for _, words in rows[i + 1 : i + height] for word in words)])
+        for i in range(0, len(rows), height)
     ]
-    if count in (7, 12, 16):
-        if len(poses) != len(images):
-            raise RecordingError(f"{path}: expected {len(images)} poses, as there are frames, got {len(poses)}")
+
+
+def _is_pose(words: list[str]) -> bool:
+    try:
+        _pose_or_lost(words, "")
+    except RecordingError:
+        return False
+    return True
+
+
+def _is_last_row(words: Sequence[str]) -> bool:
+    try:
+        return [float(word) for word in words] == [0, 0, 0, 1] or is_lost(words)
+    except ValueError:
+        return False
+
+
+def _pose_or_lost(words: list[str], where: str) -> np.ndarray | None:
+    """None where it holds NaN or infinity: tracking was lost."""
+    return None if is_lost(words) else _pose(parse_numbers(words, len(words), where), where)
+
+
+def _by_line(
+    path: Path, poses: list[np.ndarray | None], folder: Path, images: Sequence[Path]
+) -> list[np.ndarray | None]:
+    """The poses of a file without numbers: a line a frame, or, where some have no partner, a line a colour or a depth
+    image, in order."""
+    if len(poses) == len(images):
         return list(poses)
-    return _matched([row[0] for row in numbers], poses, [number_of(image) for image in images])
+    lists = find_images(folder)
+    found = []
+    if lists is not None:
+        partners = {depth: color for _, color, depth in pair_images(lists)}
+        for all_images, own in ((lists.colors, [partners.get(path) for path in images]), (lists.depths, images)):
+            place = {image: i for i, image in enumerate(sorted(all_images, key=in_order(lists)))}
+            if len(all_images) == len(poses) and all(image in place for image in own):
+                found.append([place[image] for image in own if image is not None])
+    if not found or any(places != found[0] for places in found):
+        which = ", and colour and depth images count differently" if found else ""
+        raise RecordingError(
+            f"{path}: expected {len(images)} poses, as there are frames, got {len(poses)}{which}; "
+            "put each frame's number before its pose"
+        )
+    return [poses[i] for i in found[0]]
 
 
-def _matched(keys: list[float], poses: list[np.ndarray], wanted: list[float | None]) -> list[np.ndarray | None]:
-    """The pose of each frame by the number in its name, else the nearest in time."""
+def _matched(keys: list[float], poses: list[np.ndarray | None], images: Sequence[Path]) -> list[np.ndarray | None]:
+    """The pose of each frame by the last number in its name, or the first (Redwood has the time behind it); else the
+    nearest in time."""
     exact = dict(zip(keys, poses, strict=True))
-    if sum(number in exact for number in wanted) * 2 >= len(wanted):
-        return [exact.get(np.nan if number is None else number) for number in wanted]
+    wanted = [number_of(image) for image in images]
+    for numbers in (wanted, [_first_number(image) for image in images]):
+        if sum(number in exact for number in numbers) * 2 >= len(numbers):
+            return [exact.get(np.nan if number is None else number) for number in numbers]
     known = [number for number in wanted if number is not None]
     if not known:
         return [None] * len(wanted)
     times, units = np.array(keys) / units_per_second(keys), units_per_second(known)
-    found: list[np.ndarray | None] = []
-    for number in wanted:
+    nearest_frames: dict[int, tuple[float, int]] = {}  # a pose is of one frame, the next ones have another
+    for i, number in enumerate(wanted):
         gaps = np.abs(times - (np.inf if number is None else number / units))
         nearest = int(gaps.argmin())
-        found.append(poses[nearest] if gaps[nearest] <= MAX_GAP_S else None)
+        if gaps[nearest] <= MAX_GAP_S:
+            nearest_frames[nearest] = min(nearest_frames.get(nearest, (np.inf, 0)), (float(gaps[nearest]), i))
+    found: list[np.ndarray | None] = [None] * len(wanted)
+    for nearest, (_, i) in nearest_frames.items():
+        found[i] = poses[nearest]
     return found
+
+
+def _first_number(image: Path) -> float | None:
+    found = NUMBER.search(image.stem)
+    return None if found is None else float(found[0])

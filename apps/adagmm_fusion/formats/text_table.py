@@ -50,6 +50,15 @@ def parse_pose(numbers: ArrayLike, where: str) -> np.ndarray:
         raise RecordingError(f"{where}: {problem}") from problem
 
 
+def parse_pose_or_lost(words: Sequence[str], where: str) -> np.ndarray | None:
+    """`parse_pose` of 16 words; None where they hold NaN or infinity: tracking was lost."""
+    return None if is_lost(words) else parse_pose(parse_numbers(list(words), 16, where), where)
+
+
+def is_lost(words: Sequence[str]) -> bool:
+    return any(word.lower().lstrip("+-") in ("nan", "inf", "infinity") for word in words)
+
+
 def parse_quaternion_pose(numbers: Sequence[float], where: str) -> np.ndarray:
     """(4, 4) rigid transformation from x y z qx qy qz qw."""
     quaternion = np.array(numbers[3:], dtype=np.float64)

@@ -4,14 +4,16 @@
     associations.txt        optional: lines "timestamp path timestamp path", colour and depth in either order, told
                             apart by depth.txt or the folder name depth/; without it the nearest stamps within 20 ms
                             are associated
-    groundtruth.txt         optional: lines "timestamp tx ty tz qx qy qz qw", camera to world, metres; interpolated at
-                            the depth stamp (linear, slerp) where the samples around it are at most 0.1 s apart
+    groundtruth.txt         optional: lines "timestamp tx ty tz qx qy qz qw", or as a comment above names the columns,
+                            camera to world, metres; interpolated at the depth stamp (linear, slerp) where the samples
+                            around it are at most 0.1 s apart
     pairs.txt               optional: lines "source_depth_stamp target_depth_stamp"
 
 Times are seconds; whole numbers that must be milli-, micro- or nanoseconds, by their size or distance, are taken so.
 Depth: 16-bit PNG, 5000 units a metre, 0 none, registered to the colour image. Images that are listed and not there
-(both of them: a trimmed copy) are passed over. Intrinsics: by the sensor's name (freiburg1 to 3) in the folder's name
-or the comments of depth.txt, else from a rig. Source: Sturm et al. 2012 and the file format page of the benchmark.
+(both of them: a trimmed copy) are passed over. Intrinsics: a file of them here (see camera_files.py), else by the
+sensor's name (freiburg1 to 3) in the folder's name or the comments of depth.txt, else from a rig. Source: Sturm et al.
+2012 and the file format page of the benchmark.
 """
 
 import re
@@ -26,6 +28,8 @@ from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import inside, load_frame
 from adagmm_fusion.files.input_file import is_given, read_input_text
 from adagmm_fusion.formats.options import ReadOptions
+from adagmm_fusion.formats.own_camera import calibration_with_own
+from adagmm_fusion.formats.pose_columns import in_usual_order, quaternion_columns
 from adagmm_fusion.formats.text_table import parse_numbers, read_rows
 from adagmm_fusion.formats.time_units import units_per_second
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
@@ -61,7 +65,9 @@ def read(folder: Path, options: ReadOptions) -> Recording:
         raise RecordingError(f"{folder}: none of the {len(associations)} associated colour and depth images is there")
     stamps = np.array([depth_stamp for depth_stamp, _, _ in present])
     poses = _poses_at(folder / "groundtruth.txt", stamps)
-    intrinsics, depth_scale = options.calibration(SENSOR, _known_intrinsics(folder), DEPTH_SCALE, folder)
+    intrinsics, depth_scale, notes = calibration_with_own(
+        folder, options, SENSOR, _known_intrinsics(folder), DEPTH_SCALE, (depth for _, _, depth in present)
+    )
     entries = tuple(
         FrameEntry(
             depth.stem,
@@ -76,7 +82,7 @@ def read(folder: Path, options: ReadOptions) -> Recording:
         pairs = _read_pairs(folder / "pairs.txt", stamps, depth_units)
     else:
         pairs = sequential_pairs(len(entries), options.step)
-    return Recording(folder.name, folder, NAME, entries, pairs)
+    return Recording(folder.name, folder, NAME, entries, pairs, notes=notes)
 
 
 def _read_stamps(folder: Path, name: str) -> tuple[list[tuple[float, Path]], float]:
@@ -134,8 +140,9 @@ def _poses_at(path: Path, stamps: np.ndarray) -> list[np.ndarray | None]:
     """T_world_camera at each time, None outside the trajectory and in its gaps."""
     if not is_given(path):
         return [None] * len(stamps)
-    rows = []
+    rows, columns = [], quaternion_columns(path)
     for where, words in read_rows(path):
+        words = in_usual_order(words, columns, where)
         numbers = parse_numbers(words, 8, where)
         if abs(np.linalg.norm(numbers[4:]) - 1) > 0.01:
             raise RecordingError(f"{where}: expected a unit quaternion qx qy qz qw, got {' '.join(words[4:])}")

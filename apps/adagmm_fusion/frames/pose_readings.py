@@ -18,6 +18,9 @@ AGREEMENT, AGREEMENT_M = 0.03, 0.02
 CLEARLY, CLEARLY_MORE = 1.5, 0.1
 # With a smaller share of agreeing points a reading may be a coincidence.
 LEAST_SHARE = 0.4
+# A shorter way [m] between two frames is almost none, which near frames agree with whatever was given: numbers that
+# small were metres.
+LEAST_WAY = 0.005
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # x right, y up, z backward
 
@@ -53,11 +56,15 @@ READINGS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 
 @dataclass(frozen=True)
 class BestReading:
-    """The reading to believe, and the shares of points that agree under it and as given."""
+    """The reading to believe, and the shares of points that agree under it and as given.
+
+    share_at_one_place : where that is clearly better than what is believed, of both frames at almost one place; else 0.
+    """
 
     name: str
     share: float
     share_as_given: float
+    share_at_one_place: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,17 +80,26 @@ class PosedPair:
 def best_reading(pairs: Iterable[PosedPair]) -> BestReading:
     """The reading under which the depth images of the pairs agree; as given, unless another is clearly better."""
     shares: dict[str, list[float]] = {name: [] for name in READINGS}
+    ways = dict.fromkeys(READINGS, 0.0)
     for pair in pairs:
         points = sampled_points(pair.source)
         for name, read in READINGS.items():
             T = se_inverse(read(pair.target_pose)) @ read(pair.source_pose)
             shares[name].append(agreeing_share(points, pair.target, T))
+            ways[name] = max(ways[name], float(np.linalg.norm(T[:3, 3])))
     means = {name: float(np.mean(values)) if values else 0.0 for name, values in shares.items()}
-    best = max(means, key=lambda name: means[name])  # the first of equals
     given = means[AS_GIVEN]
-    if means[best] < max(CLEARLY * given, given + CLEARLY_MORE, LEAST_SHARE):
+    too_near = {name for name in READINGS if "millimetres" in name and ways[name] < LEAST_WAY}
+    best = max(means.keys() - too_near, key=lambda name: (means[name], -list(READINGS).index(name)))
+    if not _clearly_better(means[best], given):
         best = AS_GIVEN
-    return BestReading(best, means[best], given)
+    at_one_place = max((means[name] for name in too_near), default=0.0)
+    at_one_place = at_one_place if _clearly_better(at_one_place, means[best]) else 0.0
+    return BestReading(best, means[best], given, at_one_place)
+
+
+def _clearly_better(share: float, than: float) -> bool:
+    return share >= max(CLEARLY * than, than + CLEARLY_MORE, LEAST_SHARE)
 
 
 def sampled_points(frame: RGBDFrame) -> np.ndarray:

@@ -30,7 +30,7 @@ def convert_recording(
     """Write `recording` to `folder` in our own layout, its rig beside it as rig.yaml.
 
     The frames are read and written one by one. Depth stays as it is where it is 16 bits; other depth is rounded, to its
-    own units if these are finer than a millimetre, else to millimetres.
+    own units if these are finer than a millimetre, else to millimetres; what is farther than 16 bits reach is refused.
 
     Parameters
     ----------
@@ -44,7 +44,8 @@ def convert_recording(
     Raises
     ------
     RecordingError  if a frame cannot be read, or the recording does not fit the layout: a sensor that changes its
-        intrinsics, a moment that not all sensors saw, sensors that move against each other.
+        intrinsics, a moment that not all sensors saw, sensors that move against each other, depth that 16 bits do not
+        hold.
     OutputError  if the folder cannot be written, or holds something.
     """
     folder = Path(folder)
@@ -130,7 +131,7 @@ def _write_images(
     calibrations: dict[str, tuple[PinholeIntrinsics, float]] = {}
     for number, entry in enumerate(recording.entries, 1):
         frame = entry.load()
-        depth, depth_scale = _whole_units(frame)
+        depth, depth_scale = _whole_units(frame, recording.path)
         known = calibrations.setdefault(entry.sensor, (frame.intrinsics, depth_scale))
         if known != (frame.intrinsics, depth_scale):
             raise RecordingError(
@@ -146,12 +147,17 @@ def _write_images(
     return calibrations
 
 
-def _whole_units(frame: RGBDFrame) -> tuple[np.ndarray, float]:
+def _whole_units(frame: RGBDFrame, path: Path) -> tuple[np.ndarray, float]:
     if frame.depth.dtype == np.uint16:
         return frame.depth, frame.depth_scale
     depth_scale = max(frame.depth_scale, MILLIMETRES_PER_METRE)
     units = np.rint(np.nan_to_num(frame.depth_m().astype(np.float64)) * depth_scale)
-    units[units > np.iinfo(np.uint16).max] = 0  # farther than 16 bits reach is no depth
+    most = np.iinfo(np.uint16).max
+    if units.max() > most:
+        raise RecordingError(
+            f"{path}: {frame.sensor}: frame {frame.name}: expected depth up to {most / depth_scale:g} m, which 16 bits "
+            f"hold in units of 1/{depth_scale:g} m, got {units.max() / depth_scale:g} m; set what is farther to 0 there"
+        )
     return units.astype(np.uint16), depth_scale
 
 

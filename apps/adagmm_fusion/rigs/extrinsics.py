@@ -13,7 +13,8 @@ PAIRS = 3
 
 
 def extrinsics_notes(recording: Recording) -> tuple[str, ...]:
-    """A line for every two sensors whose given poses agree with the depth images only if they are read otherwise."""
+    """A line for every two sensors whose given poses agree with the depth images only if they are read otherwise, or
+    less than both at one place do."""
     by_sensors: dict[tuple[str, str], list[PairEntry]] = {}
     for pair in recording.pairs:
         source, target = recording.entries[pair.source], recording.entries[pair.target]
@@ -22,13 +23,17 @@ def extrinsics_notes(recording: Recording) -> tuple[str, ...]:
     for (moving, fixed), pairs in by_sensors.items():
         chosen = [pairs[i] for i in np.unique(np.linspace(0, len(pairs) - 1, PAIRS).astype(int))]
         best = best_reading(_posed(recording, chosen))
-        if best.name == AS_GIVEN:
-            continue
         whose = f"the pose of {moving} to {fixed}" if moving != fixed else f"the poses of {moving}"
-        notes.append(
-            f"{whose} looks like {best.name}: read so, {100 * best.share:.0f} % of the points agree with the other "
-            f"depth image, as given {100 * best.share_as_given:.0f} %"
-        )
+        if best.name != AS_GIVEN:
+            notes.append(
+                f"{whose} looks like {best.name}: read so, {100 * best.share:.0f} % of the points agree with the other "
+                f"depth image, as given {100 * best.share_as_given:.0f} %"
+            )
+        elif best.share_at_one_place:
+            notes.append(
+                f"{whose} does not fit: as given {100 * best.share_as_given:.0f} % of the points agree with the other "
+                f"depth image, with both at one place {100 * best.share_at_one_place:.0f} %"
+            )
     return tuple(notes)
 
 

@@ -223,3 +223,106 @@ def test_plain_json_as_realsense_and_orbbec_tools_write_it(tmp_path, capsys):
     (tmp_path / "k.json").write_text(json.dumps(values | {"width": 640, "height": 480, "coeffs": [0.1, 0, 0, 0, 0]}))
     assert convert(tmp_path, f"left={tmp_path / 'k.json'}") == 1
     assert "coeffs: this lens distortion is not understood" in capsys.readouterr().err
+
+
+TWO = {
+    "depthIntrinsic": {"fx": 380.0, "fy": 381.0, "cx": 320.0, "cy": 200.0, "width": 640, "height": 400},
+    "rgbIntrinsic": {"fx": 525.0, "fy": 527.0, "cx": 322.0, "cy": 238.0, "width": 640, "height": 480},
+    "rgbDistortion": {"k1": 0.08, "k2": -0.15, "p1": 0.001, "p2": -0.0007, "k3": 0.02},
+    "depthDistortion": {"k1": 0.5, "k2": 0.0, "p1": 0.0, "p2": 0.0, "k3": 0.0},
+    "transform": {"rot": np.eye(3).ravel().tolist(), "trans": [-25.0, 0.0, 0.0]},
+}
+DEPTH_CAMERA = PinholeIntrinsics(640, 400, 380.0, 381.0, 320.0, 200.0, (0.5, 0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(("sensor", "meant"), [("color", LEFT), ("left", LEFT), ("depth", DEPTH_CAMERA)])
+def test_of_two_cameras_in_one_json_the_fields_are_not_mixed(tmp_path, capsys, sensor, meant):
+    (tmp_path / "both.json").write_text(json.dumps(TWO))
+    assert convert(tmp_path, f"{sensor}={tmp_path / 'both.json'}") == 0
+    assert load_rig(tmp_path / "rig.yaml").sensors[sensor].intrinsics == meant
+    err = capsys.readouterr().err
+    assert err == (
+        ""
+        if sensor != "left"
+        else f"adagmm-fusion: {tmp_path / 'both.json'}: it has a colour and a depth camera; left is the colour camera\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("stated", "fisheye"),
+    [
+        ({"distortion_model": "equidistant"}, True),
+        ({"camera_model": "KannalaBrandt8"}, True),
+        ({"fisheye_model": 1}, True),
+        ({"fisheye_model": 0}, False),
+        ({"model": "distortion.inverse_brown_conrady"}, True),
+        ({"model": "RS2_DISTORTION_BROWN_CONRADY"}, False),
+        ({"camera_model": "D435i"}, False),
+        ({"distortion_model": "polynomial of Smith"}, True),
+    ],
+)
+@pytest.mark.parametrize("suffix", ["json", "yml"])
+def test_coefficients_of_another_lens_model_are_refused(tmp_path, capsys, suffix, stated, fisheye):
+    path = tmp_path / f"k.{suffix}"
+    if suffix == "json":
+        values = {"fx": 525.0, "fy": 527.0, "cx": 322.0, "cy": 238.0, "width": 640, "height": 480}
+        path.write_text(json.dumps(values | {"distortion": LEFT.distortion} | stated))
+    else:
+        lens = {"camera_matrix": LEFT.matrix(), "D": np.array(LEFT.distortion)}
+        opencv(path, **lens, image_width=640, image_height=480, **stated)
+    assert convert(tmp_path, f"left={path}") == (1 if fisheye else 0)
+    if fisheye:
+        name = next(iter(stated)).replace("_", "")
+        assert f"{path}: {name}: expected plumb_bob or rational_polynomial, got " in capsys.readouterr().err
+    else:
+        assert load_rig(tmp_path / "rig.yaml").sensors["left"].intrinsics == LEFT
+
+
+def test_the_depth_unit_of_a_calibration_counts_unless_an_option_says_it(tmp_path):
+    values = {"fx": 525.0, "fy": 527.0, "cx": 322.0, "cy": 238.0, "width": 640, "height": 480}
+    (tmp_path / "k.json").write_text(json.dumps(values | {"depth_units": 0.00025}))
+    ros(tmp_path / "k.yaml", LEFT)
+    (tmp_path / "k.yaml").write_text((tmp_path / "k.yaml").read_text() + "depth_scale: 5000.0\n")
+    for name, options, scale in (
+        ("k.json", [], 4000.0),
+        ("k.yaml", [], 5000.0),
+        ("k.json", ["--depth-scale", 100], 100),
+    ):
+        assert convert(tmp_path, f"left={tmp_path / name}", *options) == 0
+        assert load_rig(tmp_path / "rig.yaml").sensors["left"].depth_scale == scale
+
+
+def open3d_rig(path, T):
+    intrinsic = {"width": 640, "height": 480, "intrinsic_matrix": LEFT.matrix().T.ravel().tolist()}
+    cameras = [{"extrinsic": se_inverse(pose).T.ravel().tolist(), "intrinsic": intrinsic} for pose in (np.eye(4), T)]
+    path.write_text(json.dumps({"class_name": "PinholeCameraTrajectory", "parameters": cameras}))
+    return [path]
+
+
+def kalibr_rig(path, T):
+    lens = "  camera_model: pinhole\n  intrinsics: [525.0, 525.0, 319.5, 239.5]\n  distortion_model: radtan\n"
+    lens += "  distortion_coeffs: [0, 0, 0, 0]\n  resolution: [640, 480]\n"
+    path.write_text(f"cam0:\n{lens}cam1:\n{lens}  T_cn_cnm1: {se_inverse(T).tolist()}\n")
+    return [path]
+
+
+def stereo_rig(path, T):
+    ros(path.parent / "one.yaml", LEFT)
+    opencv(path, R=se_inverse(T)[:3, :3], T=se_inverse(T)[:3, 3])
+    return [f"left={path.parent / 'one.yaml'}", f"right={path.parent / 'one.yaml'}", "--stereo", path]
+
+
+@pytest.mark.parametrize(
+    ("name", "write"), [("o.json", open3d_rig), ("camchain.yaml", kalibr_rig), ("stereo.yml", stereo_rig)]
+)
+def test_a_rig_in_millimetres_is_noticed(tmp_path, capsys, name, write):
+    T = T_LEFT_RIGHT.copy()
+    T[:3, 3] *= 1000.0
+    arguments = write(tmp_path / name, T)
+    assert convert(tmp_path, *arguments) == 0
+    err = capsys.readouterr().err
+    assert "are 356 m apart, which looks like millimetres taken for metres; try --length-unit mm\n" in err
+    assert convert(tmp_path, *arguments, "--length-unit", "mm") == 0
+    assert capsys.readouterr().err == ""
+    second = list(load_rig(tmp_path / "rig.yaml").sensors.values())[1]
+    np.testing.assert_allclose(second.T_rig_sensor, T_LEFT_RIGHT, rtol=0, atol=1e-9)

@@ -436,7 +436,7 @@ def test_seven_scenes_colour_may_be_jpeg(tmp_path):
     "content, match",
     [
         ("{", r"camera_intrinsic\.json: not valid JSON"),
-        ('{"width": 32, "height": 24}', "no intrinsics; add"),
+        ('{"width": 32, "height": 24}', r"no intrinsics; camera_intrinsic\.json: not understood"),
         (json.dumps({"width": 32, "height": 24, "intrinsic_matrix": [1, 2, 3]}), r"camera_intrinsic\.json.* got 3"),
         (json.dumps({"width": 0, "height": 24, "intrinsic_matrix": [30, 0, 0, 0, 30, 0, 16, 12, 1]}), "image size"),
     ],

@@ -117,6 +117,24 @@ def test_nerfstudio_lenses_units_and_frames_of_their_own(tmp_path):
     assert (first.intrinsics.fx, second.intrinsics.fx) == (140.0, 150.0)
 
 
+def test_instant_ngps_depth_unit_counts(tmp_path):
+    write_nerfstudio(tmp_path, POSES[:2], SMALL)
+    transforms(tmp_path, integer_depth_scale=0.0002, is_fisheye=False)
+    assert open_recording(tmp_path).entries[0].load().depth_scale == pytest.approx(5000.0, rel=1e-12)
+
+
+def test_the_size_of_nerfstudios_images_is_that_of_the_first_that_can_be_read(tmp_path):
+    write_nerfstudio(tmp_path, POSES, SMALL)
+    document = json.loads((tmp_path / "transforms.json").read_text())
+    del document["w"], document["h"]
+    (tmp_path / "transforms.json").write_text(json.dumps(document))
+    (tmp_path / document["frames"][0]["file_path"]).write_bytes(b"")
+    recording = open_recording(tmp_path)
+    with pytest.raises(RecordingError, match="expected a PNG or JPEG image, it is empty"):
+        recording.entries[0].load()
+    assert recording.entries[1].load().intrinsics == SMALL
+
+
 @pytest.mark.parametrize(
     ("changes", "match"),
     [
@@ -126,6 +144,8 @@ def test_nerfstudio_lenses_units_and_frames_of_their_own(tmp_path):
         ({"fl_x": "x"}, "fl_x: expected a finite number, got 'x'"),
         ({"depth_unit_scale_factor": 0}, "expected metres a unit, got 0"),
         ({"k1": 0.1, "k9": 3.0, "dist9": 2.0}, "dist9: this lens distortion is not understood"),
+        ({"is_fisheye": True, "k1": 0.1}, "isfisheye: expected plumb_bob or rational_polynomial, got True"),
+        ({"k1": 0.1, "k4": 0.01}, "k4: expected 0, OpenCV's k4 means something else"),
     ],
 )
 def test_nerfstudio_mistakes(tmp_path, changes, match):

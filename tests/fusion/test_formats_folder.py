@@ -432,3 +432,77 @@ def test_a_folder_of_recordings_is_none_itself(tmp_path):
     (tmp_path / "alone").mkdir()
     (tmp_path / "third").rename(tmp_path / "alone" / "third")
     assert recordings_in(tmp_path / "alone") == [tmp_path / "alone" / "third"]
+
+
+# Names
+
+
+@pytest.mark.parametrize(
+    ("color", "depth"),
+    [
+        ("jetson_{i:04d}_color.png", "jetson_{i:04d}_depth.png"),
+        ("visit2_{i:03d}.png", "visit2_{i:03d}_depth.png"),
+        ("config_{i}_rgb.png", "config_{i}_depth.png"),
+        ("color/2024-05-01_12-00-0{i}_123.png", "depth/2024-05-01_12-00-0{i}_140.png"),
+        # Equal last numbers of other seconds are no partners.
+        ("color/20240501_12000{i}_0{i}0.png", "depth/20240501_12000{i}_0{i}7.png"),
+        ("color/2024-05-01T12-00-59.9{i}5.png", "depth/2024-05-01T12-00-59.9{i}1.png"),
+    ],
+)
+def test_words_are_whole_and_dates_are_times(tmp_path, color, depth):
+    is_the_room(open_recording(layout(tmp_path, color, depth)))
+
+
+@pytest.mark.parametrize("name", ["depth_vis", "depthVis", "depthvis", "depth_masks", "confidence_depth", "depth_IR"])
+def test_what_only_shows_depth_is_no_depth(tmp_path, name):
+    layout(tmp_path)
+    for i, pose in enumerate(POSES * 2):
+        write_color(tmp_path / f"{name}/{i:06d}.png", SMALL, pose)
+    is_the_room(open_recording(tmp_path))
+
+
+def test_a_word_within_another_names_no_folder_of_depth(tmp_path):
+    layout(tmp_path)
+    for i, pose in enumerate(POSES * 2):
+        write_color(tmp_path / f"strange_display/{i:06d}.png", SMALL, pose)
+    (tmp_path / "depth").rename(tmp_path / "tof2")
+    is_the_room(open_recording(tmp_path))
+
+
+def test_times_without_zeros_before_milliseconds_and_minutes_that_turn(tmp_path):
+    stamps = ["2024-05-01_12-00-59_995", "2024-05-01_12-01-00_27", "2024-05-01_12-01-00_60"]
+    later = ["2024-05-01_12-01-00_4", "2024-05-01_12-01-00_36", "2024-05-01_12-01-00_69"]
+    layout(tmp_path)
+    for i, (color, depth) in enumerate(zip(stamps, later, strict=True)):
+        (tmp_path / f"color/{i:06d}.png").rename(tmp_path / f"color/{color}.png")
+        (tmp_path / f"depth/{i:06d}.png").rename(tmp_path / f"depth/{depth}.png")
+    recording = open_recording(tmp_path)
+    is_the_room(recording)
+    assert [entry.name for entry in recording.entries] == later
+
+
+def test_folders_that_are_links_count_within_the_recording_and_are_named_without(tmp_path):
+    layout(tmp_path / "scan" / "raw_data")
+    (tmp_path / "scan" / "raw_data" / "K.txt").rename(tmp_path / "scan" / "K.txt")
+    for name in ("color", "depth"):
+        (tmp_path / "scan" / name).symlink_to(tmp_path / "scan" / "raw_data" / name)
+    is_the_room(open_recording(tmp_path / "scan"))
+    (tmp_path / "scan" / "raw_data").rename(tmp_path / "elsewhere")
+    for name in ("color", "depth"):
+        (tmp_path / "scan" / name).unlink()
+        (tmp_path / "scan" / name).symlink_to(tmp_path / "elsewhere" / name)
+    refused(tmp_path / "scan", r"color/000000\.png' leads out of the recording folder .* move the file into it")
+
+
+@pytest.mark.parametrize("kind", ["color", "depth"])
+def test_a_first_image_that_is_bad_spoils_its_frame_alone(tmp_path, kind):
+    layout(tmp_path)
+    bad = tmp_path / kind / "000000.png"
+    bad.write_bytes(bad.read_bytes()[:500])
+    recording = open_recording(tmp_path)
+    with pytest.raises(RecordingError, match=r"000000\.png: the image is cut off"):
+        recording.entries[0].load()
+    assert recording.entries[1].load().intrinsics == SMALL
+    for path in (tmp_path / kind).iterdir():
+        path.write_bytes(b"")
+    refused(tmp_path, r"000000\.png: expected a PNG or JPEG image, it is empty")

@@ -1,12 +1,17 @@
 """`adagmm-fusion convert-rig`: calibrations of other programs as a rig file."""
 
 import argparse
+import sys
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 from adagmm_fusion.processes.terminal import printable
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+DEPTH_SCALE = 1000.0
+# Sensors that see the same surfaces are not this far apart [m]; in millimetres nearly all rigs are.
+FAR_M = 20.0
 
 
 def add(commands: argparse._SubParsersAction) -> None:
@@ -28,15 +33,14 @@ def add(commands: argparse._SubParsersAction) -> None:
         "--length-unit",
         choices=tuple(METRES_PER_UNIT),
         default="m",
-        help="of lengths without one: the board's squares, or COLMAP's model (default: %(default)s)",
+        help="of the lengths in the files (default: %(default)s)",
     )
     command.add_argument("--size", metavar="WxH", help="image size, for OpenCV files without it")
     command.add_argument(
         "--depth-scale",
         type=float,
-        default=1000.0,
         metavar="UNITS",
-        help="depth units per metre (default: %(default)g)",
+        help=f"depth units per metre (default: what the calibration says, else {DEPTH_SCALE:g})",
     )
     command.set_defaults(run=run)
 
@@ -60,14 +64,38 @@ def run(args: argparse.Namespace) -> int:
         found = _one_by_one(args, size, metres_per_unit)
     output = Path(args.output)
     sensors = {
-        name: SensorCalibration(name, sensor.intrinsics, args.depth_scale, sensor.T_rig_sensor)
+        name: SensorCalibration(name, sensor.intrinsics, _depth_scale(args, sensor), sensor.T_rig_sensor)
         for name, sensor in found.items()
     }
     save_rig(output, Rig(output.stem, sensors, f"from {', '.join(args.sensors)}"))
+    if (far := _far_apart(found)) is not None:
+        _note(far)
     unknown = [name for name, sensor in found.items() if sensor.T_rig_sensor is None]
     pose = f"; the pose of {', '.join(unknown)} is unknown" if unknown else ""
     print(printable(f"{output}: {', '.join(found)}{pose}"))
     return 0
+
+
+def _depth_scale(args: argparse.Namespace, sensor: Any) -> float:
+    if args.depth_scale is not None:
+        return args.depth_scale
+    return DEPTH_SCALE if sensor.depth_scale is None else sensor.depth_scale
+
+
+def _far_apart(found: dict[str, Any]) -> str | None:
+    """What to say of sensors whose distance looks like one in millimetres, or None."""
+    import numpy as np
+
+    at = {name: sensor.T_rig_sensor[:3, 3] for name, sensor in found.items() if sensor.T_rig_sensor is not None}
+    apart = [(float(np.linalg.norm(at[a] - at[b])), a, b) for a, b in combinations(at, 2)]
+    metres, a, b = max(apart, default=(0.0, "", ""))
+    if metres <= FAR_M:
+        return None
+    return f"{a} and {b} are {metres:.0f} m apart, which looks like millimetres taken for metres; try --length-unit mm"
+
+
+def _note(text: str) -> None:
+    print(printable(f"adagmm-fusion: {text}"), file=sys.stderr)
 
 
 def _one_by_one(args: argparse.Namespace, size: tuple[int, int] | None, metres_per_unit: float) -> dict[str, Any]:
@@ -75,7 +103,7 @@ def _one_by_one(args: argparse.Namespace, size: tuple[int, int] | None, metres_p
     import numpy as np
 
     from adagmm_fusion.rigs.imported import ImportedSensor
-    from adagmm_fusion.rigs.importing import ImportedCamera, read_camera, read_stereo_pose
+    from adagmm_fusion.rigs.importing import read_camera, read_stereo_pose
     from adagmm_fusion.rigs.plain_json import read_plain_json
     from adagmm_o3d.errors import InputError
     from adagmm_o3d.lie import se_inverse
@@ -85,8 +113,10 @@ def _one_by_one(args: argparse.Namespace, size: tuple[int, int] | None, metres_p
         name, equals, path = text.partition("=")
         if not (name and equals and path) or name in cameras:
             raise InputError(f"SENSOR=FILE: expected different names as left=left.yaml, got {text!r}")
-        plain = read_plain_json(Path(path), size)
-        cameras[name] = read_camera(path, number, size) if plain is None else ImportedCamera(plain)
+        plain = read_plain_json(Path(path), size, name)
+        cameras[name], note = (read_camera(path, number, size), None) if plain is None else plain
+        if note is not None:
+            _note(note)
     first, *others = cameras
     poses = dict.fromkeys(cameras) | {first: np.eye(4)}
     if args.stereo:
@@ -99,4 +129,6 @@ def _one_by_one(args: argparse.Namespace, size: tuple[int, int] | None, metres_p
         # Cameras calibrated one by one all have their own rectification, with no distance between them.
         if all(np.linalg.norm(T[:3, 3]) > 0 for T in placed.values()):
             poses |= placed
-    return {name: ImportedSensor(camera.intrinsics, poses[name]) for name, camera in cameras.items()}
+    return {
+        name: ImportedSensor(camera.intrinsics, poses[name], camera.depth_scale) for name, camera in cameras.items()
+    }

@@ -37,7 +37,7 @@ def json_number(values: dict[str, Any], key: str, where: str, default: float | N
     value = values.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < math.inf:
         raise RecordingError(f"{where}: {key}: expected a finite number, got {_kind(value)}")
-    return float(value) if abs(value) < 1e300 else math.copysign(1e300, value)
+    return float(value) if abs(value) < 1e300 else (1e300 if value > 0 else -1e300)
 
 
 def json_numbers(value: Any, count: int, where: str) -> np.ndarray:

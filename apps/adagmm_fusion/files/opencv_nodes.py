@@ -21,10 +21,13 @@ MAX_NUMBERS = 1000  # of one matrix or list; a calibration has a dozen
 
 @dataclass(frozen=True, eq=False)
 class OpenCVNodes:
-    """`numbers`: the wanted top-level numbers, lists and matrices by their plain name. `keys`: all top-level names."""
+    """`numbers`: the wanted top-level numbers, lists and matrices by their plain name. `keys`: all top-level names.
+    `scalars`, `texts`: all single numbers and texts among them, by their plain name."""
 
     numbers: dict[str, np.ndarray]
     keys: tuple[str, ...]
+    scalars: dict[str, float]
+    texts: dict[str, str]
 
     def first(self, names: tuple[str, ...]) -> np.ndarray | None:
         """The numbers under the first of these names that is there, or None."""
@@ -45,7 +48,7 @@ def read_nodes(path: Path, names: tuple[str, ...]) -> OpenCVNodes | None:
         numbers = {name: np.array(values, dtype=float) for name, values in found["numbers"].items()}
     except (subprocess.SubprocessError, ValueError):
         return None
-    return OpenCVNodes(numbers, tuple(found["keys"]))
+    return OpenCVNodes(numbers, tuple(found["keys"]), found["scalars"], found["texts"])
 
 
 def _numbers(node: cv2.FileNode) -> list | float:
@@ -74,7 +77,10 @@ def _main(path: str, *names: str) -> None:
     root = storage.root()
     wanted = {plain_name(key): key for key in root.keys() if plain_name(key) in names}  # noqa: SIM118
     numbers = {name: _numbers(root.getNode(key)) for name, key in wanted.items()}
-    print(json.dumps({"numbers": numbers, "keys": list(root.keys())}))
+    nodes = {plain_name(key): root.getNode(key) for key in root.keys()}  # noqa: SIM118
+    scalars = {name: node.real() for name, node in nodes.items() if node.isInt() or node.isReal()}
+    texts = {name: node.string() for name, node in nodes.items() if node.isString()}
+    print(json.dumps({"numbers": numbers, "keys": list(root.keys()), "scalars": scalars, "texts": texts}))
 
 
 if __name__ == "__main__":

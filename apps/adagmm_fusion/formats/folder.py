@@ -3,17 +3,17 @@
     color/, rgb/, images/ ...        .png, .jpg; or colour and depth side by side, the names of depth saying depth
     depth/ ...                       .png, .tiff, .exr, .npy, .pgm; partners by equal names, numbers or times
     intrinsics.txt, K.txt ...        also .json and .yaml, here or in a folder of such a name; see camera_files.py. With
-                                     depth in its name it is the depth camera's, with color or rgb the colour camera's
+                                     depth in its name it is the depth camera's, with color or rgb the colour camera's;
+                                     of several the one for the images' size; see folder_cameras.py
     depth_to_color.txt               optional, 4x4, metres: from the depth to the colour camera (or color_to_depth)
     poses/, trajectory.txt ...       optional; see pose_lists.py
 
-Whole numbers of depth are millimetres and others metres, unless a calibration says depth_scale. Depth of another size,
-or of another camera whose calibration is there, is brought onto the colour image. Poses are camera to world or world to
-camera, as their file's name says, else as the depth images agree better. A rig file replaces the intrinsics; one with
-the sensors `color` and `depth` calibrates both cameras.
+Whole numbers of depth are millimetres and others metres, unless a calibration says depth_scale or depth_units. Depth of
+another size, or of another camera whose calibration is there, is brought onto the colour image. Poses are camera to
+world or world to camera, as their file's name says, else as the depth images agree better. A rig file replaces the
+intrinsics; one with the sensors `color` and `depth` calibrates both cameras.
 """
 
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,23 +21,19 @@ import numpy as np
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import inside, read_color, read_depth
-from adagmm_fusion.formats.camera_files import CameraFile, find_camera_files, read_camera_file
+from adagmm_fusion.formats.folder_cameras import FolderCameras, find_cameras
 from adagmm_fusion.formats.image_lists import ImageLists, find_images, pair_images
 from adagmm_fusion.formats.listed_frames import ListedFrame, recording_of_frames
 from adagmm_fusion.formats.options import ReadOptions, unpaired_notes
 from adagmm_fusion.formats.pose_lists import PoseList, find_poses
-from adagmm_fusion.formats.text_table import parse_pose, read_matrix
 from adagmm_fusion.frames.pose_readings import AS_GIVEN, READINGS, PosedPair, best_reading
 from adagmm_fusion.recordings.frame_sequence import Recording
 from adagmm_o3d.errors import AdaGMMError
-from adagmm_o3d.lie import se_inverse
 
 NAME = "folder"
 SUMMARY = "any folder of colour and depth images with intrinsics"
 SENSOR = "camera"
 MILLIMETRES_PER_METRE = 1000.0
-DEPTH_TO_COLOR = re.compile(r"depth_?(2|to)_?(colou?r|rgb)|T_(colou?r|rgb)_depth", re.IGNORECASE)
-COLOR_TO_DEPTH = re.compile(r"(colou?r|rgb)_?(2|to)_?depth|T_depth_(colou?r|rgb)", re.IGNORECASE)
 # Pairs that are looked at to find which way round the poses are.
 PAIRS = 3
 
@@ -58,27 +54,29 @@ def read(folder: Path, options: ReadOptions) -> Recording:
     for path in (path for _, *paths in images for path in paths):
         inside(folder, str(path.relative_to(folder)), str(folder))
     notes = list(_unpaired(folder, lists, images))
-    color_size, depth = read_color(images[0][1]).shape[1::-1], read_depth(images[0][2])
-    color, of_depth = _cameras(folder)
+    color_size, depth_size, whole_numbers = _first_sizes(images)
+    found = FolderCameras() if options.rig is not None else find_cameras(folder, color_size, depth_size)
+    color, of_depth = found.color, found.depth
+    notes += found.notes
     if color is None and options.rig is None:
         raise RecordingError(
             f"{folder}: not a recording of a known format, but nearly: {len(images)} frames, colour in "
-            f"{_place(images[0][1], folder)}, depth in {_place(images[0][2], folder)}, and no intrinsics; add "
-            "intrinsics.json with width, height, fx, fy, cx, cy, or give a rig file"
+            f"{_place(images[0][1], folder)}, depth in {_place(images[0][2], folder)}, and no intrinsics"
+            f"{found.not_understood}; add intrinsics.json with width, height, fx, fy, cx, cy, or give a rig file"
         )
-    said = next((c.depth_scale for c in (of_depth, color) if c is not None and c.depth_scale is not None), None)
-    depth_scale = said or (MILLIMETRES_PER_METRE if depth.dtype == np.uint16 else 1.0)
+    said = found.depth_scale
+    depth_scale = said or (MILLIMETRES_PER_METRE if whole_numbers else 1.0)
     if said is None and options.rig is None:
-        notes.append(f"depth is taken for {'millimetres' if depth.dtype == np.uint16 else 'metres'}, no file says so")
+        notes.append(f"depth is taken for {'millimetres' if whole_numbers else 'metres'}, no file says so")
     frames = [
         ListedFrame(
             name,
             color_path,
             depth_path,
-            None if color is None else color.intrinsics((color_size, depth.shape[::-1])),
+            None if color is None else color.intrinsics((color_size, depth_size)),
             depth_scale,
-            depth_intrinsics=None if of_depth is None else of_depth.intrinsics((depth.shape[::-1],)),
-            T_color_depth=_depth_to_color(folder),
+            depth_intrinsics=None if of_depth is None else of_depth.intrinsics((depth_size,)),
+            T_color_depth=found.T_color_depth,
         )
         for name, color_path, depth_path in images
     ]
@@ -101,37 +99,23 @@ def _place(path: Path, folder: Path) -> str:
     return f"{path.parent.name}/" if path.parent != folder else "the folder itself"
 
 
-def _cameras(folder: Path) -> tuple[CameraFile | None, CameraFile | None]:
-    """The colour camera's calibration, or the only one; and the depth camera's, where it has its own."""
-    color: CameraFile | None = None
-    depth: CameraFile | None = None
-    other: CameraFile | None = None
-    for path in find_camera_files(folder):
-        if DEPTH_TO_COLOR.search(path.name) or COLOR_TO_DEPTH.search(path.name):
-            continue
-        if (camera := read_camera_file(path)) is None:
-            continue
-        name = path.stem.lower()
-        if "depth" in name and "color" not in name:
-            depth = depth or camera
-        elif "color" in name or "rgb" in name:
-            color = color or camera
-        else:
-            other = other or camera
-    color = color or other
-    return (depth, None) if color is None else (color, depth)
+def _first_sizes(images: list[tuple[str, Path, Path]]) -> tuple[tuple[int, int], tuple[int, int], bool]:
+    """(width, height) of colour and of depth, and whether depth is in whole numbers, of the first frame that can be
+    read; the others say themselves what is wrong with them.
 
-
-def _depth_to_color(folder: Path) -> np.ndarray | None:
-    for path in sorted(folder.glob("*")) + sorted(folder.glob("*/*.txt")):
-        if path.suffix.lower() not in (".txt", ".csv"):
+    Raises
+    ------
+    RecordingError  of the first frame, if none can be read.
+    """
+    first: RecordingError | None = None
+    for _, color_path, depth_path in images:
+        try:
+            color, depth = read_color(color_path), read_depth(depth_path)
+        except RecordingError as problem:
+            first = first or problem
             continue
-        for names, invert in ((DEPTH_TO_COLOR, False), (COLOR_TO_DEPTH, True)):
-            if names.search(path.stem):
-                path = inside(folder, str(path.relative_to(folder)), str(folder))
-                T = parse_pose(read_matrix(path, 4, 4), str(path))
-                return se_inverse(T) if invert else T
-    return None
+        return color.shape[1::-1], depth.shape[::-1], depth.dtype == np.uint16
+    raise first or RecordingError(f"{images}: there is no frame")
 
 
 def _posed(

@@ -1,8 +1,9 @@
 """Which files of a folder are colour and which are depth images, and which belong together."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
 
@@ -12,11 +13,24 @@ from adagmm_fusion.files.depth_files import DEPTH_SUFFIXES
 from adagmm_fusion.files.image_files import COLOR_SUFFIXES
 from adagmm_fusion.formats.time_units import units_per_second
 
-# Names of folders and files, the surer ones first.
-DEPTH_WORDS = ("depth", "range", "tof", "disp")
+# Names of folders and files, the surer ones first; see _words.
+DEPTH_WORDS = ("depth", "range", "tof", "disp", "disparity")
 COLOR_WORDS = ("color", "colour", "rgb", "images", "image", "img", "frames", "frame", "cam")
-NEITHER = re.compile(r"vis|mask|seg|label|conf|normal|jet|preview|infra|(^|[^a-z])ir([^a-z]|$)", re.IGNORECASE)
+# Of these a part of a longer word is as good; others are also in strange, display or tofu.
+ANYWHERE = ("depth", *COLOR_WORDS)
+# Words alone, for a part of a word may be anything: jetson, visit, config.
+NEITHER = re.compile(
+    r"(vis|visual\w*|mask\w*|segs?|segment\w*|label\w*|conf|confidences?|normal\w*|jet|"
+    r"preview\w*|infra|infrared|ir)(map|maps|image|images)?\d*"
+)
+SPLIT = re.compile(r"(?<=[a-z])(?=[A-Z])|[^A-Za-z0-9]+|(?<=\d)(?=[A-Za-z])")
+GLUED = re.compile(r"depth|colou?r|rgb|images?|imgs?|frames?")
 WORDS = re.compile(r"depth|colou?r|rgb|images?|img|frames?|aligned|registered|raw|to|left|right|[-_. ]", re.IGNORECASE)
+# 2024-05-01_12-00-00_123, also without what is between; the last digits are of a second.
+DATE_TIME = re.compile(
+    r"(?<!\d)((?:19|20)\d\d)[-_.]?(\d\d)[-_.]?(\d\d)[-_ T.]?"
+    r"(\d\d)[-_:.h]?(\d\d)[-_:.m]?(\d\d)(?:[-_.,s]?(\d{1,9}))?(?!\d)"
+)
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
 MAX_ENTRIES = 200_000
 # Images this far apart in time [s] are no partners.
@@ -34,10 +48,15 @@ class ImageLists:
 def find_images(folder: Path) -> ImageLists | None:
     """The colour and depth images of a folder: in subfolders that are called so, or side by side; None without both.
 
-    What lies deeper is not looked at: a folder of recordings is none itself.
+    What lies deeper is not looked at: a folder of recordings is none itself. Folders that are links count where there
+    are no others; whoever reads the images sees to it that they do not lead out.
     """
+    return _find_images(folder, links=False) or _find_images(folder, links=True)
+
+
+def _find_images(folder: Path, *, links: bool) -> ImageLists | None:
     groups: dict[Path, list[Path]] = {}
-    for path in islice(_files(folder), MAX_ENTRIES):
+    for path in islice(_files(folder, links=links), MAX_ENTRIES):
         if path.suffix.lower() in (*COLOR_SUFFIXES, *DEPTH_SUFFIXES):
             groups.setdefault(path.parent, []).append(path)
     found = {}
@@ -45,13 +64,13 @@ def find_images(folder: Path) -> ImageLists | None:
         ranked = []
         for parent, paths in groups.items():
             fitting = [path for path in paths if path.suffix.lower() in suffixes]
-            rank = None if parent == folder else _rank(parent.name.lower(), words)
+            rank = None if parent == folder else _rank(parent.name, words)
             if parent == folder:
                 # Side by side: the files' own names say what they are.
                 fitting, rank = [path for path in fitting if _is(kind, path, paths)], len(words)
-            elif kind == "color" and _rank(parent.name.lower(), DEPTH_WORDS) is not None:
+            elif kind == "color" and _rank(parent.name, DEPTH_WORDS) is not None:
                 continue
-            if fitting and rank is not None and not NEITHER.search("" if parent == folder else parent.name):
+            if fitting and rank is not None and not (parent != folder and _is_neither(parent.name)):
                 ranked.append((rank, -len(fitting), parent, fitting))
         found[kind] = min(ranked)[-1] if ranked else None
     if not (found["depth"] and found["color"]):
@@ -61,16 +80,21 @@ def find_images(folder: Path) -> ImageLists | None:
 
 def pair_images(lists: ImageLists) -> list[tuple[str, Path, Path]]:
     """(name of the frame, colour, depth): by what is left of the names without words such as color, else by their last
-    number, else by time; in the order of the numbers in the depth's names."""
-    for key in (_without_words, _last_number):
+    number, else by time; in the order of the numbers in the depth's names. Where these are dates with times, their last
+    numbers are seconds or less, and say nothing alone."""
+    times = _date_times(lists)
+    least = 1.0 if times else 0.5  # the nearest in time are surer than half of the names
+    for key in (_without_words,) if times else (_without_words, _last_number):
         colors, depths = ({key(path): path for path in paths} for paths in (lists.colors, lists.depths))
         common = [name for name in depths if name is not None and name in colors]
         unique = len(colors) == len(lists.colors) and len(depths) == len(lists.depths)
-        if unique and 2 * len(common) >= min(len(colors), len(depths)):
-            return sorted(
-                ((depths[name].stem, colors[name], depths[name]) for name in common), key=lambda f: in_order(f[2])
-            )
-    return _paired_by_time(lists)
+        if unique and len(common) >= least * min(len(colors), len(depths)):
+            frames = [(depths[name].stem, colors[name], depths[name]) for name in common]
+            break
+    else:
+        frames = _paired_by_time(lists, times)
+    key_of = in_order(lists)
+    return sorted(frames, key=lambda frame: key_of(frame[2]))
 
 
 def number_of(path: Path) -> float | None:
@@ -79,24 +103,39 @@ def number_of(path: Path) -> float | None:
     return float(found[-1]) if found else None
 
 
-def _files(folder: Path) -> Iterator[Path]:
+def _files(folder: Path, *, links: bool) -> Iterator[Path]:
     """The files in a folder and in those in it."""
     for path in sorted(folder.iterdir()):
         if path.name.startswith("."):
             continue
         if not path.is_dir():
             yield path
-        elif not path.is_symlink():
+        elif links or not path.is_symlink():
             yield from (child for child in sorted(path.iterdir()) if not child.is_dir())
 
 
+def _words(name: str) -> list[str]:
+    """The words of a name, small: depthVis, depth_vis and depthvis are depth and vis."""
+    words = []
+    for part in SPLIT.split(name):
+        words += [word for word in re.split(r"[^a-z0-9]+", GLUED.sub(r"-\g<0>-", part.lower())) if word]
+    return words
+
+
+def _is_neither(name: str) -> bool:
+    return any(NEITHER.fullmatch(word) for word in _words(name))
+
+
 def _rank(name: str, words: tuple[str, ...]) -> int | None:
-    return next((i for i, word in enumerate(words) if word in name), None)
+    """How surely a folder's name is one of these words: depth, color and the like anywhere, shorter words alone."""
+    own = {word.rstrip("0123456789") for word in _words(name)}
+    small = name.lower()
+    return next((i for i, word in enumerate(words) if (word in small if word in ANYWHERE else word in own)), None)
 
 
 def _is(kind: str, path: Path, beside: list[Path]) -> bool:
     stem = path.name.lower()
-    if NEITHER.search(stem):
+    if _is_neither(path.stem):
         return False
     has_depth = any("depth" in other.name.lower() for other in beside)
     if kind == "depth":
@@ -113,18 +152,43 @@ def _last_number(path: Path) -> int | None:
     return int(found[-1][-18:]) if found else None
 
 
-def in_order(path: Path) -> tuple[float, str]:
-    """What images are sorted by: the number in the name."""
-    number = number_of(path)
-    return (np.inf if number is None else number, path.name)
+def in_order(lists: ImageLists) -> Callable[[Path], tuple[float, str]]:
+    """What these images are sorted by: the time, where the names are dates with times, else the number in the name."""
+    times = _date_times(lists)
+
+    def key(path: Path) -> tuple[float, str]:
+        number = times.get(path, number_of(path))
+        return (np.inf if number is None else number, path.name)
+
+    return key
 
 
-def _paired_by_time(lists: ImageLists) -> list[tuple[str, Path, Path]]:
+def _date_times(lists: ImageLists) -> dict[Path, float]:
+    """The times [s] of all images whose names are dates with times; empty if one's is not."""
+    paths = (*lists.colors, *lists.depths)
+    found = [match for path in paths if (match := DATE_TIME.search(path.stem))]
+    if len(found) < len(paths):
+        return {}
+    parts = {len(match[7]) for match in found if match[7] is not None}
+    # 7, 65 and 123 are milliseconds that nobody padded; equally long ones are decimals.
+    digits = max(parts, default=0) if len(parts) < 2 else max(*parts, 3)
+    times = {}
+    for path, match in zip(paths, found, strict=True):
+        try:
+            year, month, day, hour, minute, second = (int(part) for part in match.groups()[:6])
+            whole = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
+        except ValueError:  # in no calendar
+            return {}
+        times[path] = whole.timestamp() + int(match[7] or 0) / 10.0**digits
+    return times
+
+
+def _paired_by_time(lists: ImageLists, dates: dict[Path, float]) -> list[tuple[str, Path, Path]]:
     """Each depth image with the colour image nearest in time, each once, the best partners first."""
     times = []
     for paths in (lists.colors, lists.depths):
-        known = [(number, path) for path in paths if (number := number_of(path)) is not None]
-        units = units_per_second(number for number, _ in known)
+        known = [(number, path) for path in paths if (number := dates[path] if dates else number_of(path)) is not None]
+        units = 1.0 if dates else units_per_second(number for number, _ in known)
         times.append([(number / units, path) for number, path in known])
     if not times[0] or not times[1]:
         return []
@@ -139,4 +203,4 @@ def _paired_by_time(lists: ImageLists) -> list[tuple[str, Path, Path]]:
         if gap <= MAX_GAP_S and color not in used:
             used.add(color)
             frames.append((times[1][depth][1].stem, times[0][color][1], times[1][depth][1]))
-    return sorted(frames, key=lambda frame: in_order(frame[2]))
+    return frames

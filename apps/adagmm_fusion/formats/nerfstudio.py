@@ -1,8 +1,9 @@
 """nerfstudio's transforms.json (also Instant NGP's) with depth.
 
     transforms.json    fl_x, fl_y, cx, cy, w, h, k1, k2, p1, p2, ... for all frames, or in a frame for it alone;
-                       camera_model PINHOLE, SIMPLE_PINHOLE or OPENCV; depth_unit_scale_factor, metres a unit (without
-                       it .png is in millimetres, others in metres); frames, each with
+                       camera_model PINHOLE, SIMPLE_PINHOLE or OPENCV, not is_fisheye; depth_unit_scale_factor, metres
+                       a unit (without it, or Instant NGP's integer_depth_scale, .png is in millimetres, others in
+                       metres); frames, each with
                          file_path, depth_file_path    relative to the folder
                          transform_matrix              4x4 camera to world in OpenGL's axes (x right, y up, z backward)
 
@@ -19,6 +20,7 @@ from adagmm_fusion.files.image_files import COLOR_SUFFIXES, inside, read_color
 from adagmm_fusion.files.input_file import is_given
 from adagmm_fusion.files.json_file import json_number, json_numbers, json_object, read_json
 from adagmm_fusion.files.opencv_nodes import plain_name
+from adagmm_fusion.formats.camera_fields import is_something
 from adagmm_fusion.formats.camera_files import distortion_of
 from adagmm_fusion.formats.listed_frames import ListedFrame, recording_of_frames
 from adagmm_fusion.formats.options import ReadOptions
@@ -26,6 +28,7 @@ from adagmm_fusion.formats.text_table import parse_pose
 from adagmm_fusion.frames.pose_readings import OPENGL
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.recordings.frame_sequence import Recording
+from adagmm_fusion.rigs.lens_models import other_lens_model
 from adagmm_o3d.errors import InputError
 
 NAME = "nerfstudio"
@@ -33,6 +36,8 @@ SUMMARY = "nerfstudio folder (transforms.json with depth_file_path)"
 SENSOR = "camera"
 TRANSFORMS = "transforms.json"
 MODELS = ("", "PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
+# nerfstudio's name of the metres a unit, and Instant NGP's.
+UNITS = ("depth_unit_scale_factor", "integer_depth_scale")
 MILLIMETRES = 1e-3
 
 
@@ -48,6 +53,7 @@ def read(folder: Path, options: ReadOptions) -> Recording:
         raise RecordingError(f"{path}: frames: expected a list of frames")
     frames: list[ListedFrame] = []
     without_depth = 0
+    unstated: tuple[int, int] | None = None  # the size of images, where the file does not say it
     for i, item in enumerate(listed):
         where = f"{path}: frames[{i}]"
         values = common | json_object(item, where)
@@ -55,26 +61,43 @@ def read(folder: Path, options: ReadOptions) -> Recording:
             without_depth += 1
             continue
         color, depth = _color(folder, values.get("file_path"), where), inside(folder, values["depth_file_path"], where)
-        size = None
-        if "w" not in values and not frames:
-            size = read_color(color).shape[1::-1]
-        elif "w" not in values:
-            size = frames[0].intrinsics.width, frames[0].intrinsics.height
+        if "w" not in values and unstated is None:
+            unstated = _first_size(folder, listed, path)
         matrix = values.get("transform_matrix")
         T = np.eye(4)
         rows = 3 if isinstance(matrix, list) and len(matrix) == 3 else 4
         T[:rows] = json_numbers(matrix, 4 * rows, f"{where}: transform_matrix").reshape(rows, 4)
-        unit = json_number(values, "depth_unit_scale_factor", where, MILLIMETRES if depth.suffix == ".png" else 1.0)
+        key = next((key for key in UNITS if key in values), UNITS[0])
+        unit = json_number(values, key, where, MILLIMETRES if depth.suffix == ".png" else 1.0)
         if not 1e-9 < unit < 1e9:
-            raise RecordingError(f"{where}: depth_unit_scale_factor: expected metres a unit, got {unit:g}")
+            raise RecordingError(f"{where}: {key}: expected metres a unit, got {unit:g}")
         name = depth.stem
         frames.append(
-            ListedFrame(name, color, depth, _intrinsics(values, size, where), 1.0 / unit, parse_pose(T, where) @ OPENGL)
+            ListedFrame(
+                name, color, depth, _intrinsics(values, unstated, where), 1.0 / unit, parse_pose(T, where) @ OPENGL
+            )
         )
     if not frames:
         raise RecordingError(f"{path}: no frame has depth_file_path; write it with depth")
     notes = [f"left out, without depth: {without_depth} of {len(listed)} frames"] if without_depth else []
     return recording_of_frames(folder, NAME, SENSOR, frames, options, notes)
+
+
+def _first_size(folder: Path, listed: list[Any], path: Path) -> tuple[int, int]:
+    """(width, height) of the first colour image that can be read; the others say themselves what is wrong with them.
+
+    Raises
+    ------
+    RecordingError  of the first image, if none can be read.
+    """
+    first: RecordingError | None = None
+    for i, item in enumerate(listed):
+        where = f"{path}: frames[{i}]"
+        try:
+            return read_color(_color(folder, json_object(item, where).get("file_path"), where)).shape[1::-1]
+        except RecordingError as problem:
+            first = first or problem
+    raise first or RecordingError(f"{path}: frames: expected one at least, got none")
 
 
 def _color(folder: Path, relative: Any, where: str) -> Path:
@@ -86,18 +109,24 @@ def _color(folder: Path, relative: Any, where: str) -> Path:
     return next((p for s in COLOR_SUFFIXES if (p := inside(folder, relative + s, where)).exists()), path)
 
 
-def _intrinsics(values: dict[str, Any], size: tuple[int, int] | None, where: str) -> PinholeIntrinsics:
+def _intrinsics(values: dict[str, Any], unstated: tuple[int, int] | None, where: str) -> PinholeIntrinsics:
     model = values.get("camera_model", "")
     if model not in MODELS:
         raise RecordingError(
             f"{where}: camera_model: expected OPENCV or PINHOLE, got {str(model)[:40]!r}; undistort first"
         )
-    if size is None:
+    size = unstated
+    if size is None or "w" in values:
         size = int(json_number(values, "w", where)), int(json_number(values, "h", where))
     fx, cx, cy = (json_number(values, name, where) for name in ("fl_x", "cx", "cy"))
     fy = json_number(values, "fl_y", where, fx)
-    lens = {plain_name(name): value for name, value in values.items() if isinstance(value, int | float | list)}
+    lens = {plain_name(name): value for name, value in values.items() if isinstance(value, int | float | list | str)}
+    distortion = distortion_of(lens, where)
+    if problem := other_lens_model(lens, bool(distortion)):
+        raise RecordingError(f"{where}: {problem}")
+    if is_something(lens.get("k4")):
+        raise RecordingError(f"{where}: k4: expected 0, OpenCV's k4 means something else; undistort the images first")
     try:
-        return PinholeIntrinsics(*size, fx, fy, cx, cy, distortion_of(lens, where))
+        return PinholeIntrinsics(*size, fx, fy, cx, cy, distortion)
     except InputError as problem:
         raise RecordingError(f"{where}: {problem}") from problem

@@ -210,7 +210,7 @@ def _by_line(
     if lists is not None:
         partners = {depth: color for _, color, depth in pair_images(lists)}
         for all_images, own in ((lists.colors, [partners.get(path) for path in images]), (lists.depths, images)):
-            place = {image: i for i, image in enumerate(sorted(all_images, key=in_order))}
+            place = {image: i for i, image in enumerate(sorted(all_images, key=in_order(lists)))}
             if len(all_images) == len(poses) and all(image in place for image in own):
                 found.append([place[image] for image in own if image is not None])
     if not found or any(places != found[0] for places in found):

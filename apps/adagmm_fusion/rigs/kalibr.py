@@ -5,7 +5,7 @@ cam0, cam1, ...
     intrinsics: [fx, fy, cx, cy]
     distortion_model: radtan, or none          distortion_coeffs: [k1, k2, p1, p2]
     resolution: [width, height]
-    T_cn_cnm1: 4x4, camera n - 1 to camera n, metres; not of cam0
+    T_cn_cnm1: 4x4, camera n - 1 to camera n, metres as Kalibr writes it; not of cam0
 """
 
 from pathlib import Path
@@ -22,7 +22,7 @@ from adagmm_o3d.lie import se_inverse
 LENSES = ("radtan", "none")
 
 
-def read_kalibr(path: Path) -> dict[str, ImportedSensor]:
+def read_kalibr(path: Path, metres_per_unit: float = 1.0) -> dict[str, ImportedSensor]:
     """The cameras by name, in cam0's frame. Raises RigError naming file, line and what is wrong."""
     sensors: dict[str, ImportedSensor] = {}
     T_rig_last = np.eye(4)
@@ -33,14 +33,16 @@ def read_kalibr(path: Path) -> dict[str, ImportedSensor]:
         if sensors and "T_cn_cnm1" not in keys:
             item.fail("key 'T_cn_cnm1' is missing: the camera is not calibrated against the one before")
         if sensors:
-            T_rig_last = T_rig_last @ se_inverse(_pose(keys["T_cn_cnm1"]))
+            T_rig_last = T_rig_last @ se_inverse(_pose(keys["T_cn_cnm1"], metres_per_unit))
         sensors[name] = ImportedSensor(_intrinsics(item, keys), T_rig_last)
     return sensors
 
 
-def _pose(item: Item) -> np.ndarray:
+def _pose(item: Item, metres_per_unit: float) -> np.ndarray:
+    T = item.matrix(4, 4)
+    T[:3, 3] *= metres_per_unit
     try:
-        return checked_rigid_transformation(item.matrix(4, 4), "T_cn_cnm1")
+        return checked_rigid_transformation(T, "T_cn_cnm1")
     except RigError:
         raise
     except InputError as problem:

@@ -2,7 +2,7 @@
 
 parameters: list of
     intrinsic: {width, height, intrinsic_matrix: 9 numbers, column by column}
-    extrinsic: 16 numbers, column by column, world to camera, metres
+    extrinsic: 16 numbers, column by column, world to camera, metres as a rule
 """
 
 from pathlib import Path
@@ -17,15 +17,15 @@ from adagmm_fusion.rigs.imported import ImportedSensor
 from adagmm_o3d.lie import se_inverse
 
 
-def read_open3d_cameras(path: Path) -> dict[str, ImportedSensor]:
+def read_open3d_cameras(path: Path, metres_per_unit: float = 1.0) -> dict[str, ImportedSensor]:
     """The cameras camera0, camera1, ..., in the first one's frame. Raises RigError naming what is wrong."""
     try:
-        return _read(path)
+        return _read(path, metres_per_unit)
     except RecordingError as problem:
         raise RigError(str(problem)) from problem
 
 
-def _read(path: Path) -> dict[str, ImportedSensor]:
+def _read(path: Path, metres_per_unit: float) -> dict[str, ImportedSensor]:
     document = json_object(read_json(path), str(path))
     listed = document.get("parameters", [document])
     if not isinstance(listed, list) or not listed:
@@ -38,7 +38,8 @@ def _read(path: Path) -> dict[str, ImportedSensor]:
         intrinsic = json_object(values.get("intrinsic"), f"{where}: intrinsic")
         size = tuple(int(json_number(intrinsic, name, where)) for name in ("width", "height"))
         K = json_numbers(intrinsic.get("intrinsic_matrix"), 9, f"{where}: intrinsic_matrix").reshape(3, 3).T
-        T = json_numbers(values.get("extrinsic"), 16, f"{where}: extrinsic").reshape(4, 4).T
+        T = json_numbers(values.get("extrinsic"), 16, f"{where}: extrinsic").reshape(4, 4).T.copy()
+        T[:3, 3] *= metres_per_unit
         T_camera_world = parse_pose(T, where)
         T_rig_world = T_camera_world if T_rig_world is None else T_rig_world
         pose = np.eye(4) if i == 0 else T_rig_world @ se_inverse(T_camera_world)

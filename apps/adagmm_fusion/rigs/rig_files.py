@@ -24,8 +24,8 @@ def read_rig_file(
 
     Parameters
     ----------
-    metres_per_unit : of COLMAP's, multical's and MATLAB's lengths, which have no unit.    size : (width, height), for
-        the Camera Calibration Toolbox's.
+    metres_per_unit : of the lengths in it, but for a ROS bag's, which are in metres.    size : (width, height), for the
+        Camera Calibration Toolbox's.
 
     Raises
     ------
@@ -41,11 +41,11 @@ def read_rig_file(
         return _read_matlab(path, metres_per_unit, size)
     start = read_input(path, RigError, count=4096)
     if suffix in (".yaml", ".yml") and b"cam0" in start:
-        return read_kalibr(path)
+        return read_kalibr(path, metres_per_unit)
     if suffix == ".json" and b'"camera_poses"' in read_input(path, RigError):
         return read_multical(path, metres_per_unit)
     if suffix == ".json" and (b"extrinsic" in start or b"PinholeCamera" in start):
-        return read_open3d_cameras(path)
+        return read_open3d_cameras(path, metres_per_unit)
     raise RigError(
         f"{path}: expected Kalibr's camchain, Open3D's camera trajectory, COLMAP's folder, multical's "
         "calibration.json, a MATLAB stereo calibration or a ROS bag; the calibration of one camera is given as "

@@ -80,7 +80,7 @@ def read(folder: Path, options: ReadOptions) -> Recording:
         )
         for name, color_path, depth_path in images
     ]
-    poses = find_poses(folder, [path for *_, path in images])
+    poses = find_poses(folder, [path for *_, path in images], notes)
     if poses is not None:
         frames, note = _posed(folder, frames, poses, options)
         notes.append(note)

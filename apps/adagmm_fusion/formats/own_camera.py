@@ -52,5 +52,8 @@ def calibration_with_own(
     there = next((path for path in depths if path.exists()), None)
     if first.size is None and there is None:
         raise RecordingError(f"{folder}: expected depth images, got none; {first.path.name} does not say their size")
-    intrinsics = first.intrinsics((first.size or image_size(there),))
-    return intrinsics, first.depth_scale or depth_scale, (f"the intrinsics are those of {first.path.name}",)
+    sizes = (first.size or image_size(there),)
+    notes = [f"the intrinsics are those of {first.path.name}"]
+    if (doubt := first.doubt(sizes)) is not None:
+        notes.append(doubt)
+    return first.intrinsics(sizes), first.depth_scale or depth_scale, tuple(notes)

@@ -53,7 +53,7 @@ class PoseList:
         self.to_world = True if TO_WORLD.search(name) else False if TO_CAMERA.search(name) else None
 
 
-def find_poses(folder: Path, images: Sequence[Path], notes: list[str] | None = None) -> PoseList | None:
+def find_poses(folder: Path, images: Sequence[Path], notes: list[str]) -> PoseList | None:
     """The poses of the frames whose depth images these are; None if there is no file of poses.
 
     Parameters
@@ -64,7 +64,6 @@ def find_poses(folder: Path, images: Sequence[Path], notes: list[str] | None = N
     ------
     RecordingError  naming file and line, if a file of poses cannot be read or does not fit the frames.
     """
-    notes = [] if notes is None else notes
     for place in (folder, *(p for p in sorted(folder.iterdir()) if p.is_dir() and NAME.search(p.name))):
         named = [path for path in sorted(place.iterdir()) if path.suffix.lower() in (*SUFFIXES, *NOT_READ)]
         if place == folder:

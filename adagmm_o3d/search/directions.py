@@ -17,13 +17,12 @@ from adagmm_o3d.arguments import Array
 from adagmm_o3d.kernels.cpu.votes import vote_for_shifts
 from adagmm_o3d.mixtures.sampling import some_of
 from adagmm_o3d.search.features import Alike, Thinned, nearest_rotations
+from adagmm_o3d.trust.normals import alike, facing
 
 # Points of either cloud that are asked.
 ASKED = 400
 # Directions are a cloud's where at least this share of its points faces them to within so much; the most of them.
 FACING, WITHIN, DIRECTIONS = 0.02, math.radians(18.0), 4
-# How sharply normals are told apart: two this far apart count e times less for one direction.
-CONCENTRATION = 1.0 / math.sin(math.radians(7.5)) ** 2
 # Means of the normals around a direction, each around the one before.
 MEANS = 3
 # Angles between two directions that are the same, and rotations that are.
@@ -45,7 +44,7 @@ def direction_poses(alike: Alike) -> list[Array]:
     if alike.too_few:
         return []
     (points, normals), (others, other_normals) = _some(alike.source), _some(alike.target)
-    own, other = _facing(normals), _facing(other_normals)
+    own, other = facing(normals), facing(other_normals)
     rotations = _rotations(_directions(normals, own), _directions(other_normals, other))
     if not len(rotations):
         return []
@@ -76,15 +75,6 @@ def _some(cloud: Thinned) -> tuple[Array, Array]:
     return cloud.points[index], cloud.normals[index]
 
 
-def _facing(normals: Array) -> Array:
-    """(n,) how many of (n, 3) unit normals face where each does, of either sign."""
-    return _alike(normals @ normals.T).sum(axis=1)
-
-
-def _alike(cosines: Array) -> Array:
-    return np.exp(CONCENTRATION * (cosines**2 - 1.0))
-
-
 def _directions(normals: Array, facing: Array) -> list[Array]:
     """Unit vectors (3,) that many of (n, 3) unit normals face, of either sign, those that most face first."""
     found: list[Array] = []
@@ -92,7 +82,7 @@ def _directions(normals: Array, facing: Array) -> list[Array]:
     while len(found) < DIRECTIONS and left.any():
         direction = normals[int(np.argmax(np.where(left, facing, -1.0)))]
         for _ in range(MEANS):
-            weights = _alike(normals @ direction) * left
+            weights = alike(normals @ direction) * left
             direction = np.linalg.eigh((normals * weights[:, None]).T @ normals)[1][:, 2]
         near = left & (np.abs(normals @ direction) > math.cos(WITHIN))
         if near.sum() < FACING * len(normals):

@@ -24,7 +24,7 @@ from adagmm_o3d.search.levels import Levels
 from adagmm_o3d.search.rotations import APART_AMBIGUOUS, search_globally
 from adagmm_o3d.search.schedule import SAME_START
 from adagmm_o3d.trust.agreement import HELD, log_held
-from adagmm_o3d.trust.judge import Judge
+from adagmm_o3d.trust.judge import KNOWN_AGAIN, Judge
 from adagmm_o3d.trust.rivals import SIGMA, refined
 
 # Evidence above which a pose stands by itself [nats per point, both clouds together], see `judge.Judge.evidence`.
@@ -36,10 +36,10 @@ BETTER, MUCH_BETTER = 0.05, 0.25
 # point, both clouds together] cannot be told apart. Measured gaps of likelihood: symmetric bodies sampled twice 0.00 to
 # 0.17 (1 of 30 above), rooms 0.07 and more (4 of 60 below), the simulation's models 1.9 and more.
 AMBIGUOUS, AMBIGUOUS_LIKELIHOOD = 0.1, 0.15
-# A given start is believed at once when the clouds explain each other there this much as well as the halves of one
-# cloud do; or, where noise hides the shape, when this share of the points has a partner. The identity that nobody
+# A given start is believed at once when the clouds explain each other there KNOWN_AGAIN times as well as the halves of
+# one cloud do; or, where noise hides the shape, when this share of the points has a partner. The identity that nobody
 # vouched for is kept then if it holds, and any pose like that is a rival.
-KNOWN_AGAIN, PLAUSIBLE = 0.5, 0.1
+PLAUSIBLE = 0.1
 # A first end that explains the clouds so many times as well as the halves of one cloud explain each other is right:
 # nothing that features propose does better. Round and regular bodies, of which another pose may, do not come to this.
 CERTAIN = 2.0

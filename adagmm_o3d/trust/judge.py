@@ -23,7 +23,7 @@ from adagmm_o3d.mixtures.merging import MergedMixture
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.sampling import distinct_places, quantile, some_of
 from adagmm_o3d.mixtures.spacing import spacing_of
-from adagmm_o3d.trust.agreement import LEAST_POINTS, Surface, agreement, surfaces_of
+from adagmm_o3d.trust.agreement import HELD, LEAST_POINTS, Surface, agreement, surfaces_of
 from adagmm_o3d.trust.free_space import RangeImage
 
 # Points of either cloud that are asked.
@@ -40,6 +40,9 @@ UNMATCHED, KNOWN_SHAPE = 0.4, 1.0
 # What may suit a pose best: σ, in units of the scale at which the shape is known, and that share. A share of 0.8 lets a
 # pose off that leaves most of two Kinect scenes unexplained: three of twenty were lost by it.
 SUITED = ((1.0, UNMATCHED), (1.0, 0.6), (0.06, 0.6))
+# A pose may be right that explains this share of what the halves of a cloud do: clouds that lack two ends of a room
+# share the rest.
+KNOWN_AGAIN = 0.5
 # How much coarser a single pose is looked at.
 LENIENT = 4.0
 # What it costs a pose if all points of one cloud lie where the other's sensor saw nothing [nats].
@@ -101,6 +104,10 @@ class Judge:
         """Of what goes on in one cloud, the share that is on the other at a pose, see `Agreement.held`; 1 of points
         that are too few for a surface."""
         return 1.0 if self.too_few else agreement(*self.surfaces, pose).held
+
+    def may_be_right(self, pose: Array) -> bool:
+        """Whether a pose explains half of what the halves of a cloud do, and holds as they do."""
+        return bool(self.evidence([pose])[0] > KNOWN_AGAIN * self.reference) and self.held(pose) >= HELD[1]
 
     def confidence(self, pose: Array, coarser: float = LENIENT) -> float:
         """The same of one pose as the halves of a cloud are asked, at a scale so many times coarser: by default one at

@@ -1,8 +1,10 @@
 """The mistake that a nearly symmetric shape invites: another pose, turned from here, explains the clouds as well.
 
 A search from nearby never comes there. So the pose that was found is turned: by half a turn about each axis of the
-matched shape and about others all around, as the axes of a round shape are anybody's guess, and by quarter turns, as of
-a square room. What comes to lie near the target is refined briefly, the best of that further, and compared.
+matched shape, about each of what its surfaces face, as walls and floors do, and about others all around, as the axes of
+a round shape are anybody's guess, and by quarter turns, as of a square room. What comes to lie near the target is
+refined briefly, the best of that further, and compared. Clouds that lack two ends of a room turn about the middle of
+neither: turned about what they face they are laid on each other anew.
 """
 
 from __future__ import annotations
@@ -13,21 +15,27 @@ import numpy as np
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.runs import Limits, Start, pose_distance, run_starts
+from adagmm_o3d.kernels.cpu.votes import vote_for_shifts
 from adagmm_o3d.lie import so_exp
 from adagmm_o3d.mixtures.merging import MergedMixture
 from adagmm_o3d.mixtures.sampling import some_of
 from adagmm_o3d.neighbors import NeighborIndex
+from adagmm_o3d.trust.agreement import Surface
 from adagmm_o3d.trust.judge import Judge
+from adagmm_o3d.trust.normals import facing
 
 # Axes all around that half turns are tried about, and by how many points of the source and how near the target each
 # turn is looked at [radii]; the turns that are followed, which differ by more than so much [rad].
 AXES, LOOKED_AT, REACH, FOLLOWED, DIFFERENT = 40, 150, 0.12, 6, 0.5
 # Points of either cloud that they are refined on, and the iterations: all of them at first, then the best.
-POINTS, ITERATIONS, BEST = (250, 500), (12, 20), 2
+POINTS, ITERATIONS, BEST = (250, 500), (12, 20), 3
 SIGMA, UNMATCHED, FASTEST = 0.01, 0.4, 0.7
 LIMITS = Limits(floor=1e-4, least_unmatched=0.05, relative_rmse=1e-4)
 # What is nearer is the same pose, as of a round shape.
 APART = 0.5
+# Points of either cloud that say how clouds that are turned lie on each other, the edge of a cell of shifts [radii],
+# the absolute cosine of normals that agree, and the shifts that are followed of each turn.
+VOTING, EDGE, AGREE, SHIFTS = 300, 0.1, math.cos(math.radians(20.0)), 2
 # In the plane, where there is one axis.
 TURNS_IN_PLANE = (math.pi, 0.5 * math.pi, -0.5 * math.pi, 0.75 * math.pi, -0.75 * math.pi)
 
@@ -40,10 +48,12 @@ def margin_over_turned(judge: Judge, pose: Array) -> float:
     def others(poses: list[Array], stage: int) -> list[Array]:
         return [end for end in refined(sides, poses, stage, SIGMA) if pose_distance(end, pose) > APART]
 
-    ends = others(_turned(sides, pose), 0)
+    ends = others([*_turned(judge, pose), *_laid(judge, pose)], 0)
     if ends:
         ends = others(best_of(ends, judge.explained(sides, ends)), 1)
-    return judge.confidence(pose, 1.0) - max((judge.confidence(end, 1.0) for end in ends), default=-math.inf)
+    margin = judge.confidence(pose, 1.0) - max((judge.confidence(end, 1.0) for end in ends), default=-math.inf)
+    # One that explains as much as a right pose does may be right, however much more this one explains.
+    return min(margin, 0.0) if any(judge.may_be_right(end) for end in ends) else margin
 
 
 def refined(sides: tuple[MergedMixture, MergedMixture], poses: list[Array], stage: int, sigma: float) -> list[Array]:
@@ -58,12 +68,12 @@ def best_of(poses: list[Array], explained: Array) -> list[Array]:
     return [poses[i] for i in np.argsort(-explained, kind="stable")[:BEST]]
 
 
-def _turned(sides: tuple[MergedMixture, MergedMixture], pose: Array) -> list[Array]:
+def _turned(judge: Judge, pose: Array) -> list[Array]:
     """Poses (4, 4) turned from this one that take the source near the target, the nearest first."""
-    source, target = sides
+    source, target = judge.sides
     moved = source.points @ pose[:3, :3].T + pose[:3, 3]
     centre = moved.mean(axis=0)
-    turns = np.array(_turns(moved, source.dimension))
+    turns = np.array(_turns(moved, judge.surfaces[0].normals @ pose[:3, :3].T, source.dimension))
     few = moved[some_of(np.arange(len(moved)), LOOKED_AT)] - centre
     squares = NeighborIndex(np.ascontiguousarray(target.points)).query(
         (few @ turns.transpose(0, 2, 1)).reshape(-1, 3) + centre
@@ -81,11 +91,45 @@ def _turned(sides: tuple[MergedMixture, MergedMixture], pose: Array) -> list[Arr
     return list(poses @ pose)
 
 
-def _turns(points: Array, dimension: int) -> list[Array]:
-    """Rotations (3, 3) by half turns and quarter turns."""
+def _laid(judge: Judge, pose: Array) -> list[Array]:
+    """Poses (4, 4) turned from this one by half a turn about what the surfaces face, and shifted to where most of them
+    meet."""
+    if judge.sides[0].dimension == 2:
+        return []
+    (points, normals), (others, other_normals) = (_some(surface) for surface in judge.surfaces)
+    axes = np.linalg.eigh(normals.T @ normals)[1].T
+    rotations = np.array([pose[:3, :3] @ so_exp(math.pi * axis) for axis in axes])
+    peaks = np.empty((len(rotations), SHIFTS, 4))
+    vote_for_shifts(
+        np.column_stack([points, facing(normals) ** -0.5]),
+        normals,
+        np.column_stack([others, facing(other_normals) ** -0.5]),
+        other_normals,
+        rotations,
+        EDGE,
+        AGREE,
+        peaks,
+    )
+    poses = []
+    for rotation, shifts in zip(rotations, peaks, strict=True):
+        for shift in shifts[shifts[:, 3] > 0.0]:
+            laid = np.eye(4)
+            laid[:3, :3], laid[:3, 3] = rotation, shift[:3]
+            poses.append(laid)
+    return poses
+
+
+def _some(surface: Surface) -> tuple[Array, Array]:
+    """Some of its points and their normals, (k, 3) both."""
+    part = surface.some(VOTING)
+    return part.points, part.normals
+
+
+def _turns(points: Array, normals: Array, dimension: int) -> list[Array]:
+    """Rotations (3, 3) by half turns and quarter turns of (n, 3) points with their normals."""
     if dimension == 2:
         return [so_exp(np.array([0.0, 0.0, angle])) for angle in TURNS_IN_PLANE]
-    own = np.linalg.eigh(np.cov(points.T))[1].T
+    own = [*np.linalg.eigh(np.cov(points.T))[1].T, *np.linalg.eigh(normals.T @ normals)[1].T]
     turns = [so_exp(math.pi * axis) for axis in (*own, *_axes_around(AXES))]
     return turns + [so_exp(angle * axis) for axis in own for angle in (0.5 * math.pi, -0.5 * math.pi)]
 

@@ -21,6 +21,7 @@ from adagmm_o3d.search.schedule import SCHEDULE
 from adagmm_o3d.search.starts import wide
 from adagmm_o3d.trust.free_space import RangeImage
 from adagmm_o3d.trust.judge import JUDGED, Judge
+from adagmm_o3d.trust.rivals import SIGMA, margin_over_turned, refined
 
 
 class Parts:
@@ -238,6 +239,23 @@ def test_a_room_that_is_nearly_aligned_stays_so(vouched):
         source, target, T = rooms_ends(seed)
         errors = pose_errors(T, register_points(source, target, init=T if vouched else None).transformation)
         assert errors.rotation_deg < 3.0 and errors.translation < 0.2, (seed, errors)
+
+
+@pytest.mark.parametrize("seed", [0, 7, 10])
+def test_a_room_turned_by_half_a_turn_leaves_no_margin_though_it_explains_much_more(seed):
+    """Its walls all come together; at the right pose either cloud has an end that the other lacks."""
+    source, target, T = rooms_ends(seed)
+    clouds = (make_mixture(name, points, None) for name, points in (("source", source), ("target", target)))
+    moving, fixed, normalisation = normalise(*clouds)
+    judge = Judge(moving, fixed, Levels(moving, fixed, SCHEDULE).sampled(JUDGED))
+    pose = normalisation.pose_in(T)
+    turned = se_exp(np.array([0.0, 0.0, np.pi, 0.0, 0.0, 0.0])) @ pose
+    middles = [cloud.points.mean(axis=0) for cloud in (moving, fixed)]
+    turned[:3, 3] = middles[1] - turned[:3, :3] @ middles[0]
+    turned = refined(judge.sides, [turned], 1, SIGMA)[0]
+    evidence = judge.evidence([pose, turned])
+    assert judge.may_be_right(pose) and judge.may_be_right(turned) and evidence[1] > evidence[0] + 0.1
+    assert margin_over_turned(judge, pose) <= 0.0 and margin_over_turned(judge, turned) <= 0.0
 
 
 def test_ends_on_the_way_to_one_place_are_no_rivals():

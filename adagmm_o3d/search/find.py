@@ -225,7 +225,8 @@ def _best_value(candidates: list[Candidate]) -> float:
 
 
 def _found(judge: Judge, near: list[Candidate], pool: list[Candidate], vouched: bool) -> Found:
-    chosen, rivals = _chosen(near, pool, judge.reference, vouched)
+    known = math.inf if judge.coloured else KNOWN_AGAIN * judge.reference
+    chosen, rivals = _chosen(near, pool, known, 0.0 if vouched and not judge.coloured else known)
     # To stay in the nearest optimum σ was forced down, maybe below the noise, where chance decides who is a partner of
     # whom.
     sigma, unmatched = max(chosen.sigma, judge.sigma), min(chosen.unmatched, FRESH_UNMATCHED)
@@ -233,16 +234,17 @@ def _found(judge: Judge, near: list[Candidate], pool: list[Candidate], vouched: 
     return Found(end, _stay_apart(judge, end.pose, rivals))
 
 
-def _chosen(near: list[Candidate], pool: list[Candidate], reference: float, vouched: bool) -> tuple[End, list[Array]]:
+def _chosen(
+    near: list[Candidate], pool: list[Candidate], known: float, at_start_known: float
+) -> tuple[End, list[Array]]:
     """The best of all, or the best near the given start where that may be right or none is clearly better; and its
-    rivals. `vouched` says that somebody has chosen the start."""
-    known = KNOWN_AGAIN * reference
+    rivals. Evidence above `known` may be a right pose's, near the start above `at_start_known`."""
     ranked = _ranked([*near, *pool])
     best = ranked[0]
     at_start = next((one for one in ranked if one in near), None)
     if best not in near:
         # Of a room of which either cloud lacks another end, all walls come together if it is turned by half a turn.
-        right = [one for one in near if one.explains(0.0 if vouched else known)]
+        right = [one for one in near if one.explains(at_start_known)]
         if right:
             best = max(right, key=lambda one: one.value)
         elif at_start is not None:

@@ -79,6 +79,11 @@ class Judge:
         ]
 
     @property
+    def coloured(self) -> bool:
+        """Whether colours speak as well: then even a pose they speak against explains half by its shape."""
+        return all(side.colours is not None for side in self.sides)
+
+    @property
     def too_few(self) -> bool:
         """Whether the points of either side are no surface."""
         return min(len(side.points) for side in self.sides) < LEAST_POINTS
@@ -106,7 +111,9 @@ class Judge:
         return 1.0 if self.too_few else agreement(*self.surfaces, pose).held
 
     def may_be_right(self, pose: Array) -> bool:
-        """Whether a pose explains half of what the halves of a cloud do, and holds as they do."""
+        """Whether a pose explains half of what the halves of a cloud do, and holds as they do; not asked of colours."""
+        if self.coloured:
+            return False
         return bool(self.evidence([pose])[0] > KNOWN_AGAIN * self.reference) and self.held(pose) >= HELD[1]
 
     def confidence(self, pose: Array, coarser: float = LENIENT) -> float:

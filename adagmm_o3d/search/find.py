@@ -24,7 +24,7 @@ from adagmm_o3d.search.levels import Levels
 from adagmm_o3d.search.rotations import APART_AMBIGUOUS, search_globally
 from adagmm_o3d.search.schedule import SAME_START
 from adagmm_o3d.trust.agreement import HELD, log_held
-from adagmm_o3d.trust.judge import KNOWN_AGAIN, Judge
+from adagmm_o3d.trust.judge import ALIKE_HELD, KNOWN_AGAIN, Judge
 from adagmm_o3d.trust.rivals import SIGMA, refined
 
 # Evidence above which a pose stands by itself [nats per point, both clouds together], see `judge.Judge.evidence`.
@@ -88,10 +88,10 @@ class Candidate:
         """See `Judge.held`."""
         return self.judge.held(self.end.pose)
 
-    def explains(self, least: float) -> bool:
+    def explains(self, least: float, least_held: float = HOLDS) -> bool:
         """Whether it may be right, whatever else may be: its evidence is more than `least`, and it holds as far as the
-        halves of a cloud do."""
-        return self.evidence > least and self.held >= HOLDS
+        halves of a cloud do, and as `least_held`."""
+        return self.evidence > least and self.held >= max(HOLDS, least_held)
 
 
 def find(
@@ -261,7 +261,7 @@ def _chosen(
     rivals += [
         one.end.pose
         for one in [*near, *pool]
-        if pose_distance(best.end.pose, one.end.pose) > APART_AMBIGUOUS and one.explains(known)
+        if pose_distance(best.end.pose, one.end.pose) > APART_AMBIGUOUS and one.explains(known, best.held - ALIKE_HELD)
     ]
     return best.end, rivals
 

@@ -43,6 +43,8 @@ SUITED = ((1.0, UNMATCHED), (1.0, 0.6), (0.06, 0.6))
 # A pose may be right that explains this share of what the halves of a cloud do: clouds that lack two ends of a room
 # share the rest.
 KNOWN_AGAIN = 0.5
+# And that holds no less than another one, but for so much: with the handle of a mug on the other side less holds.
+ALIKE_HELD = 0.01
 # How much coarser a single pose is looked at.
 LENIENT = 4.0
 # What it costs a pose if all points of one cloud lie where the other's sensor saw nothing [nats].
@@ -110,11 +112,12 @@ class Judge:
         that are too few for a surface."""
         return 1.0 if self.too_few else agreement(*self.surfaces, pose).held
 
-    def may_be_right(self, pose: Array) -> bool:
-        """Whether a pose explains half of what the halves of a cloud do, and holds as they do; not asked of colours."""
-        if self.coloured:
+    def may_be_right(self, pose: Array, beside: Array) -> bool:
+        """Whether a pose explains half of what the halves of a cloud do, and holds as they do and as the pose `beside`
+        does; not asked of colours."""
+        if self.coloured or self.evidence([pose])[0] <= KNOWN_AGAIN * self.reference:
             return False
-        return bool(self.evidence([pose])[0] > KNOWN_AGAIN * self.reference) and self.held(pose) >= HELD[1]
+        return self.held(pose) >= max(HELD[1], self.held(beside) - ALIKE_HELD)
 
     def confidence(self, pose: Array, coarser: float = LENIENT) -> float:
         """The same of one pose as the halves of a cloud are asked, at a scale so many times coarser: by default one at

@@ -2,8 +2,7 @@
 
 Two clouds of a room that share the floor and a wall agree in what these face, however little else they share and
 wherever they start. So the directions that many points of either cloud face are laid on each other, two on two in every
-way, and for each rotation all shifts are compared at once. What faces a rare direction, a door frame say, tells more of
-a shift than the floor does.
+way, and for each rotation all shifts are compared at once, see `trust.laying`.
 """
 
 from __future__ import annotations
@@ -14,10 +13,9 @@ import math
 import numpy as np
 
 from adagmm_o3d.arguments import Array
-from adagmm_o3d.kernels.cpu.votes import vote_for_shifts
 from adagmm_o3d.mixtures.sampling import some_of
 from adagmm_o3d.search.features import Alike, Thinned, nearest_rotations
-from adagmm_o3d.trust.normals import alike, facing
+from adagmm_o3d.trust.laying import Facing, facing, facing_alike, laid_poses
 
 # Points of either cloud that are asked.
 ASKED = 400
@@ -29,11 +27,8 @@ MEANS = 3
 SAME_COSINE, SAME_ROTATION = 0.15, math.radians(12.0)
 # Below this absolute cosine two directions are at right angles, whatever their signs.
 RIGHT_ANGLE = 0.1
-# The edge of a cell of shifts, at least, in radii; the absolute cosine of normals that agree; shifts that are kept of a
-# rotation.
-EDGE, AGREE, SHIFTS = 0.06, math.cos(math.radians(20.0)), 3
-# Cells of shifts, about so many at most.
-CELLS = 1 << 18
+# The edge of a cell of shifts, at least, in radii, and the shifts that are kept of a rotation.
+EDGE, SHIFTS = 0.06, 3
 # Of two directions that have no sign.
 SIGNS = tuple(itertools.product((1.0, -1.0), repeat=2))
 
@@ -43,46 +38,28 @@ def direction_poses(alike: Alike) -> list[Array]:
     than two directions."""
     if alike.too_few:
         return []
-    (points, normals), (others, other_normals) = _some(alike.source), _some(alike.target)
-    own, other = facing(normals), facing(other_normals)
-    rotations = _rotations(_directions(normals, own), _directions(other_normals, other))
+    source, target = _facing(alike.source), _facing(alike.target)
+    rotations = _rotations(_directions(source), _directions(target))
     if not len(rotations):
         return []
-    extents = np.ptp(points @ rotations.transpose(0, 2, 1), axis=1) + np.ptp(others, axis=0)
-    edge = max(alike.edge, EDGE, float(extents.prod(axis=1).max() / CELLS) ** (1.0 / 3.0))
-    peaks = np.empty((len(rotations), SHIFTS, 4))
-    vote_for_shifts(
-        np.column_stack([points, own**-0.5]),
-        normals,
-        np.column_stack([others, other**-0.5]),
-        other_normals,
-        rotations,
-        edge,
-        AGREE,
-        peaks,
-    )
-    found = np.argwhere(peaks[:, :, 3] > 0.0)
-    order = np.argsort(-peaks[found[:, 0], found[:, 1], 3], kind="stable")
-    poses = np.tile(np.eye(4), (len(found), 1, 1))
-    for pose, (rotation, shift) in zip(poses, found[order], strict=True):
-        pose[:3, :3], pose[:3, 3] = rotations[rotation], peaks[rotation, shift, :3]
-    return list(poses)
+    return laid_poses(source, target, rotations, max(alike.edge, EDGE), SHIFTS)
 
 
-def _some(cloud: Thinned) -> tuple[Array, Array]:
-    """Points and their normals, (k, 3) both."""
+def _facing(cloud: Thinned) -> Facing:
+    """Of some of its points."""
     index = some_of(np.arange(len(cloud.points)), ASKED)
-    return cloud.points[index], cloud.normals[index]
+    return facing(cloud.points[index], cloud.normals[index])
 
 
-def _directions(normals: Array, facing: Array) -> list[Array]:
-    """Unit vectors (3,) that many of (n, 3) unit normals face, of either sign, those that most face first."""
+def _directions(cloud: Facing) -> list[Array]:
+    """Unit vectors (3,) that many normals face, of either sign, those that most face first."""
+    normals = cloud.normals
     found: list[Array] = []
     left = np.full(len(normals), True)
     while len(found) < DIRECTIONS and left.any():
-        direction = normals[int(np.argmax(np.where(left, facing, -1.0)))]
+        direction = normals[int(np.argmax(np.where(left, cloud.alike, -1.0)))]
         for _ in range(MEANS):
-            weights = alike(normals @ direction) * left
+            weights = facing_alike(normals @ direction) * left
             direction = np.linalg.eigh((normals * weights[:, None]).T @ normals)[1][:, 2]
         near = left & (np.abs(normals @ direction) > math.cos(WITHIN))
         if near.sum() < FACING * len(normals):

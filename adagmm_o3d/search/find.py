@@ -24,7 +24,7 @@ from adagmm_o3d.search.levels import Levels
 from adagmm_o3d.search.rotations import APART_AMBIGUOUS, search_globally
 from adagmm_o3d.search.schedule import SAME_START
 from adagmm_o3d.trust.agreement import HELD, log_held
-from adagmm_o3d.trust.judge import ALIKE_HELD, KNOWN_AGAIN, Judge
+from adagmm_o3d.trust.judge import KNOWN_AGAIN, Judge, holds
 from adagmm_o3d.trust.rivals import SIGMA, refined
 
 # Evidence above which a pose stands by itself [nats per point, both clouds together], see `judge.Judge.evidence`.
@@ -88,11 +88,6 @@ class Candidate:
         """See `Judge.held`."""
         return self.judge.held(self.end.pose)
 
-    def explains(self, least: float, least_held: float = HOLDS) -> bool:
-        """Whether it may be right, whatever else may be: its evidence is more than `least`, and it holds as far as the
-        halves of a cloud do, and as `least_held`."""
-        return self.evidence > least and self.held >= max(HOLDS, least_held)
-
 
 def find(
     levels: Levels,
@@ -144,11 +139,11 @@ def find(
         else:
             ends = search_around(levels, _others(levels, bases), first)
         return Found(ends[0], is_ambiguous([(end, end.log_likelihood) for end in ends], AMBIGUOUS_LIKELIHOOD))
-    near = _judged(judge(), nearby)
-    if given is not None and near and max(one.evidence for one in near) >= KNOWN_AGAIN * judge().reference:
-        return _found(judge(), near, [], given is not None)
+    near, vouched = _judged(judge(), nearby), given is not None
+    if vouched and near and max(one.evidence for one in near) >= KNOWN_AGAIN * judge().reference:
+        return _found(judge(), near, [], vouched)
     if certain:
-        return _found(judge(), near, pool, given is not None)
+        return _found(judge(), near, pool, vouched)
     most, apart_by = levels.schedule.proposed.kept, levels.schedule.proposed.apart
     alike = thinned_alike(levels.source, levels.target)
     proposals = _apart(feature_poses(alike), apart_by)
@@ -163,7 +158,7 @@ def find(
         if viewpoints[0] is not None and viewpoints[1] is not None:
             more += _starts_in_place(levels, viewpoints[0], viewpoints[1])
         pool += _judged(judge(), more)
-    return _found(judge(), near, pool, given is not None)
+    return _found(judge(), near, pool, vouched)
 
 
 def _most_likely(ends: list[End]) -> End:
@@ -225,8 +220,8 @@ def _best_value(candidates: list[Candidate]) -> float:
 
 
 def _found(judge: Judge, near: list[Candidate], pool: list[Candidate], vouched: bool) -> Found:
-    known = math.inf if judge.coloured else KNOWN_AGAIN * judge.reference
-    chosen, rivals = _chosen(near, pool, known, 0.0 if vouched and not judge.coloured else known)
+    at_start_known = 0.0 if vouched and not judge.coloured else judge.known
+    chosen, rivals = _chosen(near, pool, judge.known, at_start_known)
     # To stay in the nearest optimum σ was forced down, maybe below the noise, where chance decides who is a partner of
     # whom.
     sigma, unmatched = max(chosen.sigma, judge.sigma), min(chosen.unmatched, FRESH_UNMATCHED)
@@ -244,25 +239,25 @@ def _chosen(
     at_start = next((one for one in ranked if one in near), None)
     if best not in near:
         # Of a room of which either cloud lacks another end, all walls come together if it is turned by half a turn.
-        right = [one for one in near if one.explains(at_start_known)]
+        right = [one for one in near if one.evidence > at_start_known and holds(one.held)]
         if right:
             best = max(right, key=lambda one: one.value)
         elif at_start is not None:
             wanted = BETTER if best.value >= ESTABLISHED or at_start.value <= 0.0 < best.value else MUCH_BETTER
             if best.value < at_start.value + wanted:
                 best = at_start
-    if best in near:
-        # Where walls slide on each other, many poses near the start explain the same.
-        as_good = [one for one in near if one.value >= best.value - BETTER]
+    if best in near and len(near) > 1:
+        # Where walls slide on each other, many poses near the start explain the same. A value is no more than the
+        # evidence.
+        least = best.value - BETTER
+        as_good = [one for one in near if one.evidence >= least and one.value >= least]
         best = min(as_good, key=lambda one: float(pose_distance(one.end.start, one.end.pose)))
     # What is beside a surface may have come there since: a pose that holds less but explains as much is a rival.
     others = [(one.end, one.evidence) for one in ranked if one is not best]
     rivals = _rivals([(best.end, best.evidence), *others], AMBIGUOUS)
-    rivals += [
-        one.end.pose
-        for one in [*near, *pool]
-        if pose_distance(best.end.pose, one.end.pose) > APART_AMBIGUOUS and one.explains(known, best.held - ALIKE_HELD)
-    ]
+    explaining = [one for one in (*near, *pool) if one.evidence > known]
+    apart = [one for one in explaining if pose_distance(best.end.pose, one.end.pose) > APART_AMBIGUOUS]
+    rivals += [one.end.pose for one in apart if holds(one.held, best.held)]
     return best.end, rivals
 
 

@@ -11,6 +11,7 @@ viewpoints are known, points that one sensor has seen through count against a po
 from __future__ import annotations
 
 import itertools
+import math
 from functools import cached_property
 
 import numpy as np
@@ -82,8 +83,14 @@ class Judge:
 
     @property
     def coloured(self) -> bool:
-        """Whether colours speak as well: then even a pose they speak against explains half by its shape."""
+        """Whether colours speak as well."""
         return all(side.colours is not None for side in self.sides)
+
+    @property
+    def known(self) -> float:
+        """Evidence above which a pose may be right; infinity with colours, as even a pose that they speak against
+        explains half by its shape."""
+        return math.inf if self.coloured else KNOWN_AGAIN * self.reference
 
     @property
     def too_few(self) -> bool:
@@ -112,12 +119,9 @@ class Judge:
         that are too few for a surface."""
         return 1.0 if self.too_few else agreement(*self.surfaces, pose).held
 
-    def may_be_right(self, pose: Array, beside: Array) -> bool:
-        """Whether a pose explains half of what the halves of a cloud do, and holds as they do and as the pose `beside`
-        does; not asked of colours."""
-        if self.coloured or self.evidence([pose])[0] <= KNOWN_AGAIN * self.reference:
-            return False
-        return self.held(pose) >= max(HELD[1], self.held(beside) - ALIKE_HELD)
+    def may_be_right(self, pose: Array, beside: float) -> bool:
+        """Whether a pose explains as much as a right one may, and holds beside another at which so much holds."""
+        return bool(self.evidence([pose])[0] > self.known) and holds(self.held(pose), beside)
 
     def confidence(self, pose: Array, coarser: float = LENIENT) -> float:
         """The same of one pose as the halves of a cloud are asked, at a scale so many times coarser: by default one at
@@ -148,6 +152,11 @@ class Judge:
                 return sigma, known, coarsened
             sigma *= COARSER
         raise AssertionError
+
+
+def holds(held: float, beside: float = 0.0) -> bool:
+    """Whether so much holds as between the halves of a cloud, and no less than at a pose `beside`."""
+    return held >= max(HELD[1], beside - ALIKE_HELD)
 
 
 def _distinct(side: MergedMixture) -> MergedMixture:

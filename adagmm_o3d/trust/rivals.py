@@ -15,14 +15,13 @@ import numpy as np
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.runs import Limits, Start, pose_distance, run_starts
-from adagmm_o3d.kernels.cpu.votes import vote_for_shifts
 from adagmm_o3d.lie import so_exp
 from adagmm_o3d.mixtures.merging import MergedMixture
 from adagmm_o3d.mixtures.sampling import some_of
 from adagmm_o3d.neighbors import NeighborIndex
 from adagmm_o3d.trust.agreement import Surface
 from adagmm_o3d.trust.judge import Judge
-from adagmm_o3d.trust.normals import facing
+from adagmm_o3d.trust.laying import Facing, facing, laid_poses
 
 # Axes all around that half turns are tried about, and by how many points of the source and how near the target each
 # turn is looked at [radii]; the turns that are followed, which differ by more than so much [rad].
@@ -33,16 +32,16 @@ SIGMA, UNMATCHED, FASTEST = 0.01, 0.4, 0.7
 LIMITS = Limits(floor=1e-4, least_unmatched=0.05, relative_rmse=1e-4)
 # What is nearer is the same pose, as of a round shape.
 APART = 0.5
-# Points of either cloud that say how clouds that are turned lie on each other, the edge of a cell of shifts [radii],
-# the absolute cosine of normals that agree, and the shifts that are followed of each turn.
-VOTING, EDGE, AGREE, SHIFTS = 300, 0.1, math.cos(math.radians(20.0)), 2
+# Points of either cloud that say how clouds that are turned lie on each other, the edge of a cell of shifts at least
+# [radii], and the shifts that are followed of each turn.
+VOTING, EDGE, SHIFTS = 300, 0.1, 2
 # In the plane, where there is one axis.
 TURNS_IN_PLANE = (math.pi, 0.5 * math.pi, -0.5 * math.pi, 0.75 * math.pi, -0.75 * math.pi)
 
 
-def margin_over_turned(judge: Judge, pose: Array) -> float:
-    """By how much a pose (4, 4) explains the judge's clouds better than any turned from there does [nats per point];
-    infinity where all of them lead back to it."""
+def margin_over_turned(judge: Judge, pose: Array, held: float) -> float:
+    """By how much a pose (4, 4), at which so much holds, explains the judge's clouds better than any turned from there
+    does [nats per point]; infinity where all of them lead back to it."""
     sides = judge.sides
 
     def others(poses: list[Array], stage: int) -> list[Array]:
@@ -53,7 +52,7 @@ def margin_over_turned(judge: Judge, pose: Array) -> float:
         ends = others(best_of(ends, judge.explained(sides, ends)), 1)
     margin = judge.confidence(pose, 1.0) - max((judge.confidence(end, 1.0) for end in ends), default=-math.inf)
     # One that explains as much as a right pose does may be right, however much more this one explains.
-    return min(margin, 0.0) if any(judge.may_be_right(end, pose) for end in ends) else margin
+    return min(margin, 0.0) if any(judge.may_be_right(end, held) for end in ends) else margin
 
 
 def refined(sides: tuple[MergedMixture, MergedMixture], poses: list[Array], stage: int, sigma: float) -> list[Array]:
@@ -96,33 +95,16 @@ def _laid(judge: Judge, pose: Array) -> list[Array]:
     meet."""
     if judge.sides[0].dimension == 2:
         return []
-    (points, normals), (others, other_normals) = (_some(surface) for surface in judge.surfaces)
-    axes = np.linalg.eigh(normals.T @ normals)[1].T
+    source, target = (_facing(surface) for surface in judge.surfaces)
+    axes = np.linalg.eigh(source.normals.T @ source.normals)[1].T
     rotations = np.array([pose[:3, :3] @ so_exp(math.pi * axis) for axis in axes])
-    peaks = np.empty((len(rotations), SHIFTS, 4))
-    vote_for_shifts(
-        np.column_stack([points, facing(normals) ** -0.5]),
-        normals,
-        np.column_stack([others, facing(other_normals) ** -0.5]),
-        other_normals,
-        rotations,
-        EDGE,
-        AGREE,
-        peaks,
-    )
-    poses = []
-    for rotation, shifts in zip(rotations, peaks, strict=True):
-        for shift in shifts[shifts[:, 3] > 0.0]:
-            laid = np.eye(4)
-            laid[:3, :3], laid[:3, 3] = rotation, shift[:3]
-            poses.append(laid)
-    return poses
+    return laid_poses(source, target, rotations, EDGE, SHIFTS)
 
 
-def _some(surface: Surface) -> tuple[Array, Array]:
-    """Some of its points and their normals, (k, 3) both."""
+def _facing(surface: Surface) -> Facing:
+    """Of some of its points."""
     part = surface.some(VOTING)
-    return part.points, part.normals
+    return facing(part.points, part.normals)
 
 
 def _turns(points: Array, normals: Array, dimension: int) -> list[Array]:

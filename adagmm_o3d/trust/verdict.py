@@ -59,7 +59,7 @@ def weigh(judge: Judge, pose: Array, *, turned: bool) -> Verdict:
     if scale is not None and scale.differs:
         verdict = replace(verdict, scale=1.0 / scale.factor if turned else scale.factor)
     if believe(signs(verdict)) >= LOOKED_AT:
-        verdict = replace(verdict, margin=margin_over_turned(judge, pose))
+        verdict = replace(verdict, margin=margin_over_turned(judge, pose, agreed.held))
     if believe(signs(verdict)) >= LOOKED_AT:
         image = fit_mirror_image(judge, pose)
         # parts of a body that is its own image share less than its left half and the image of its right half

@@ -24,7 +24,7 @@ from adagmm_o3d.search.levels import Levels
 from adagmm_o3d.search.rotations import APART_AMBIGUOUS, search_globally
 from adagmm_o3d.search.schedule import SAME_START
 from adagmm_o3d.trust.agreement import HELD, log_held
-from adagmm_o3d.trust.judge import KNOWN_AGAIN, Judge, holds
+from adagmm_o3d.trust.judge import CERTAIN, KNOWN_AGAIN, Judge, holds
 from adagmm_o3d.trust.rivals import SIGMA, refined
 
 # Evidence above which a pose stands by itself [nats per point, both clouds together], see `judge.Judge.evidence`.
@@ -40,9 +40,6 @@ AMBIGUOUS, AMBIGUOUS_LIKELIHOOD = 0.1, 0.15
 # one cloud do; or, where noise hides the shape, when this share of the points has a partner. The identity that nobody
 # vouched for is kept then if it holds, and any pose like that is a rival.
 PLAUSIBLE = 0.1
-# A first end that explains the clouds so many times as well as the halves of one cloud explain each other is right:
-# nothing that features propose does better. Round and regular bodies, of which another pose may, do not come to this.
-CERTAIN = 2.0
 # Below so much of that, or where no pose is established if it is not known from where the clouds were seen, surfaces
 # that face alike are laid on each other as well. Walls and floors do that in many wrong ways, which free space tells
 # from the right one; without viewpoints such a pose must hold so far to be taken.
@@ -124,6 +121,7 @@ def find(
             return Found(first[1], False)
     sharp = levels.source.dimension == 3 and judge().sharp
     pool = _judged(judge(), [first[1]]) if sharp and first is not None else []
+    # Nothing that features propose does better than a certain end.
     certain = bool(pool) and pool[0].evidence >= CERTAIN * judge().reference
     nearby: list[End] = []
     # Where the first end is certain, an identity that nobody vouched for needs no look if the clouds lie apart there.
@@ -220,8 +218,8 @@ def _best_value(candidates: list[Candidate]) -> float:
 
 
 def _found(judge: Judge, near: list[Candidate], pool: list[Candidate], vouched: bool) -> Found:
-    at_start_known = 0.0 if vouched and not judge.coloured else judge.known
-    chosen, rivals = _chosen(near, pool, judge.known, at_start_known)
+    known = judge.known(max(one.evidence for one in (*near, *pool)))
+    chosen, rivals = _chosen(near, pool, known, 0.0 if vouched and known < math.inf else known)
     # To stay in the nearest optimum σ was forced down, maybe below the noise, where chance decides who is a partner of
     # whom.
     sigma, unmatched = max(chosen.sigma, judge.sigma), min(chosen.unmatched, FRESH_UNMATCHED)

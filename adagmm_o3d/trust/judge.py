@@ -46,6 +46,9 @@ SUITED = ((1.0, UNMATCHED), (1.0, 0.6), (0.06, 0.6))
 KNOWN_AGAIN = 0.5
 # And that holds no less than another one, but for so much: with the handle of a mug on the other side less holds.
 ALIKE_HELD = 0.01
+# A pose that explains the clouds so many times as well as the halves of one explain each other is certain: the same
+# points were sampled. Round and regular bodies, of which another pose may do as well, do not come to this.
+CERTAIN = 2.0
 # How much coarser a single pose is looked at.
 LENIENT = 4.0
 # What it costs a pose if all points of one cloud lie where the other's sensor saw nothing [nats].
@@ -86,11 +89,10 @@ class Judge:
         """Whether colours speak as well."""
         return all(side.colours is not None for side in self.sides)
 
-    @property
-    def known(self) -> float:
-        """Evidence above which a pose may be right; infinity with colours, as even a pose that they speak against
-        explains half by its shape."""
-        return math.inf if self.coloured else KNOWN_AGAIN * self.reference
+    def known(self, most: float) -> float:
+        """Evidence above which a pose may be right beside one that has `most`. Infinity where that is certain, and with
+        colours, as even a pose that they speak against explains half by its shape."""
+        return math.inf if self.coloured or most >= CERTAIN * self.reference else KNOWN_AGAIN * self.reference
 
     @property
     def too_few(self) -> bool:
@@ -119,9 +121,9 @@ class Judge:
         that are too few for a surface."""
         return 1.0 if self.too_few else agreement(*self.surfaces, pose).held
 
-    def may_be_right(self, pose: Array, beside: float) -> bool:
-        """Whether a pose explains as much as a right one may, and holds beside another at which so much holds."""
-        return bool(self.evidence([pose])[0] > self.known) and holds(self.held(pose), beside)
+    def may_be_right(self, pose: Array, known: float, beside: float) -> bool:
+        """Whether a pose has more evidence than `known`, and holds beside another at which so much holds."""
+        return bool(self.evidence([pose])[0] > known) and holds(self.held(pose), beside)
 
     def confidence(self, pose: Array, coarser: float = LENIENT) -> float:
         """The same of one pose as the halves of a cloud are asked, at a scale so many times coarser: by default one at

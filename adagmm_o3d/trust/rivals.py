@@ -52,7 +52,8 @@ def margin_over_turned(judge: Judge, pose: Array, held: float) -> float:
         ends = others(best_of(ends, judge.explained(sides, ends)), 1)
     margin = judge.confidence(pose, 1.0) - max((judge.confidence(end, 1.0) for end in ends), default=-math.inf)
     # One that explains as much as a right pose does may be right, however much more this one explains.
-    return min(margin, 0.0) if any(judge.may_be_right(end, held) for end in ends) else margin
+    known = judge.known(float(judge.evidence([pose])[0]))
+    return min(margin, 0.0) if any(judge.may_be_right(end, known, held) for end in ends) else margin
 
 
 def refined(sides: tuple[MergedMixture, MergedMixture], poses: list[Array], stage: int, sigma: float) -> list[Array]:

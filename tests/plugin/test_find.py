@@ -254,8 +254,22 @@ def test_a_room_turned_by_half_a_turn_leaves_no_margin_though_it_explains_much_m
     turned[:3, 3] = middles[1] - turned[:3, :3] @ middles[0]
     turned = refined(judge.sides, [turned], 1, SIGMA)[0]
     evidence = judge.evidence([pose, turned])
-    assert judge.may_be_right(pose, judge.held(turned)) and evidence[1] > evidence[0] + 0.1
+    assert judge.may_be_right(pose, judge.known(evidence[1]), judge.held(turned)) and evidence[1] > evidence[0] + 0.1
     assert all(margin_over_turned(judge, found, judge.held(found)) <= 0.0 for found in (pose, turned))
+
+
+def test_of_the_same_points_no_other_pose_may_be_right():
+    """An ellipsoid fits itself half a turn off, but only its very points coincide."""
+    points = np.random.default_rng(3).normal(size=(400, 3))
+    points *= np.array([1.0, 0.7, 0.4]) / np.linalg.norm(points, axis=1, keepdims=True)
+    T = se_exp(np.array([0.0, 0.0, 0.3, 0.1, 0.1, 0.1]))
+    target = move(points, T)
+    covariances = [estimate_surface_covariances(cloud) for cloud in (points, target)]
+    result = register_points(points, target, *covariances)
+    errors = pose_errors(T, result.transformation)
+    assert errors.rotation_deg < 0.1 and errors.translation < 1e-3 and result.warnings == ()
+    half_a_turn = se_exp(np.array([0.0, 0.0, np.pi, 0.0, 0.0, 0.0]))
+    assert register_points(points, target, *covariances, init=T @ half_a_turn).warnings
 
 
 def test_ends_on_the_way_to_one_place_are_no_rivals():

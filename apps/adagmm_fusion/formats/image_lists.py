@@ -93,8 +93,8 @@ def pair_images(lists: ImageLists) -> list[tuple[str, Path, Path]]:
             break
     else:
         frames = _paired_by_time(lists, times)
-    key_of = in_order(lists)
-    return sorted(frames, key=lambda frame: key_of(frame[2]))
+    place = _order(times)
+    return sorted(frames, key=lambda frame: place(frame[2]))
 
 
 def number_of(path: Path) -> float | None:
@@ -154,8 +154,10 @@ def _last_number(path: Path) -> int | None:
 
 def in_order(lists: ImageLists) -> Callable[[Path], tuple[float, str]]:
     """What these images are sorted by: the time, where the names are dates with times, else the number in the name."""
-    times = _date_times(lists)
+    return _order(_date_times(lists))
 
+
+def _order(times: dict[Path, float]) -> Callable[[Path], tuple[float, str]]:
     def key(path: Path) -> tuple[float, str]:
         number = times.get(path, number_of(path))
         return (np.inf if number is None else number, path.name)

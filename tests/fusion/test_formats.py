@@ -226,8 +226,35 @@ def test_intrinsics_in_a_folder_of_a_known_camera_count(tmp_path, format, place)
     assert recording.format == format and recording[0].source.intrinsics == SMALL
     assert recording.notes == (f"the intrinsics are those of {place.removeprefix('../')}",)
     np.savetxt(folder / "K.txt", SMALL.matrix())
-    np.savetxt(folder / "intrinsics.txt", VGA.matrix())
-    refused(folder, "expected the camera matrix and distortion of .*; keep one of the two files")
+    np.savetxt(folder / "intrinsics.txt", SMALL.matrix() * [[1.1], [1.1], [1]])
+    refused(folder, r"K\.txt and intrinsics\.txt: two different calibrations for .* images, fx .*; keep the true one")
+
+
+def test_files_that_say_the_same_of_a_known_camera_count_once(tmp_path):
+    """Two files of one camera were compared to the last bit, and the other size of one refused."""
+    folder = tmp_path / "freiburg1"
+    write_tum(folder, POSES[:2], SMALL)
+    np.savetxt(folder / "K.txt", SMALL.matrix())
+    np.savetxt(folder / "intrinsics.txt", SMALL.matrix() * [[1 + 1e-4], [1 + 1e-4], [1]])
+    whole = {"width": SMALL.width * 2, "height": SMALL.height * 2} | {
+        name: 2 * getattr(SMALL, name) for name in ("fx", "fy")
+    }
+    (folder / "camera_info.json").write_text(json.dumps(whole | {"cx": 2 * SMALL.cx + 0.5, "cy": 2 * SMALL.cy + 0.5}))
+    (folder / "camera.txt").write_text("a camera of mine\n")
+    recording = open_recording(folder)
+    assert recording[0].source.intrinsics.fx == pytest.approx(SMALL.fx, rel=1e-3)
+    assert any("not understood as a calibration and not used: camera.txt" in note for note in recording.notes)
+
+
+def test_a_depth_camera_beside_depth_that_is_registered_is_said_not_used(tmp_path):
+    folder = tmp_path / "freiburg1"
+    write_tum(folder, POSES[:2], SMALL)
+    np.savetxt(folder / "color_intrinsics.txt", SMALL.matrix())
+    np.savetxt(folder / "depth_intrinsics.txt", VGA.matrix())
+    np.savetxt(folder / "depth_to_color.txt", np.eye(4))
+    recording = open_recording(folder)
+    assert recording[0].source.intrinsics == SMALL
+    assert any("depth_intrinsics.txt is not used" in note for note in recording.notes)
 
 
 def test_tum_comment_that_names_the_columns_counts(tum):

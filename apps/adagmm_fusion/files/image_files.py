@@ -3,9 +3,9 @@ image."""
 
 import struct
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -15,6 +15,9 @@ from adagmm_fusion.files.depth_files import MAX_PIXELS, decoder_of
 from adagmm_fusion.files.input_file import read_input
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame
 from adagmm_o3d.errors import InputError, InputTypeError
+
+Item = TypeVar("Item")
+Read = TypeVar("Read")
 
 MISSING = "the image is missing"
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -40,6 +43,22 @@ def inside(root: Path, relative: str, where: str) -> Path:
     if outside:
         raise RecordingError(f"{where}: {relative!r} leads out of the recording folder {root}; move the file into it")
     return path
+
+
+def first_readable(items: Iterable[Item], read: Callable[[Item], Read]) -> Read:
+    """What `read` makes of the first of the items that can be read; the others say themselves what is wrong with them.
+
+    Raises
+    ------
+    RecordingError  of the first item, if none can be read.    ValueError  if there is none.
+    """
+    first: RecordingError | None = None
+    for item in items:
+        try:
+            return read(item)
+        except RecordingError as problem:
+            first = first or problem
+    raise first or ValueError("items: expected one at least, got none")
 
 
 def read_color(path: Path) -> np.ndarray:

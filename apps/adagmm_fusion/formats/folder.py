@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from adagmm_fusion.errors import RecordingError
-from adagmm_fusion.files.image_files import inside, read_color, read_depth
+from adagmm_fusion.files.image_files import first_readable, inside, read_color, read_depth
 from adagmm_fusion.formats.folder_cameras import FolderCameras, find_cameras
 from adagmm_fusion.formats.image_lists import ImageLists, find_images, pair_images
 from adagmm_fusion.formats.listed_frames import ListedFrame, recording_of_frames
@@ -101,21 +101,18 @@ def _place(path: Path, folder: Path) -> str:
 
 def _first_sizes(images: list[tuple[str, Path, Path]]) -> tuple[tuple[int, int], tuple[int, int], bool]:
     """(width, height) of colour and of depth, and whether depth is in whole numbers, of the first frame that can be
-    read; the others say themselves what is wrong with them.
+    read.
 
     Raises
     ------
     RecordingError  of the first frame, if none can be read.
     """
-    first: RecordingError | None = None
-    for _, color_path, depth_path in images:
-        try:
-            color, depth = read_color(color_path), read_depth(depth_path)
-        except RecordingError as problem:
-            first = first or problem
-            continue
+
+    def sizes(image: tuple[str, Path, Path]) -> tuple[tuple[int, int], tuple[int, int], bool]:
+        color, depth = read_color(image[1]), read_depth(image[2])
         return color.shape[1::-1], depth.shape[::-1], depth.dtype == np.uint16
-    raise first or RecordingError(f"{images}: there is no frame")
+
+    return first_readable(images, sizes)
 
 
 def _posed(

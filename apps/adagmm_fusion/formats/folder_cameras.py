@@ -96,7 +96,7 @@ def find_cameras(folder: Path, color_size: tuple[int, int], depth_size: tuple[in
         if camera is not None and (doubt := camera.doubt(sizes)) is not None:
             notes.append(doubt)
     names = ", ".join(str(path.relative_to(folder)) for path in unread[:3])
-    if unread and color is not None:
+    if unread:
         notes.append(f"not understood as a calibration and not used: {names}")
     said = f"; {names}: not understood, expected {EXPECTED}" if unread else ""
     return FolderCameras(color, depth, T, _depth_scale(everything), tuple(notes), said)

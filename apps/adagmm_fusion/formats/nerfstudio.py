@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from adagmm_fusion.errors import RecordingError
-from adagmm_fusion.files.image_files import COLOR_SUFFIXES, inside, read_color
+from adagmm_fusion.files.image_files import COLOR_SUFFIXES, first_readable, inside, read_color
 from adagmm_fusion.files.input_file import is_given
 from adagmm_fusion.files.json_file import json_number, json_numbers, json_object, read_json
 from adagmm_fusion.files.opencv_nodes import plain_name
@@ -84,20 +84,18 @@ def read(folder: Path, options: ReadOptions) -> Recording:
 
 
 def _first_size(folder: Path, listed: list[Any], path: Path) -> tuple[int, int]:
-    """(width, height) of the first colour image that can be read; the others say themselves what is wrong with them.
+    """(width, height) of the first colour image that can be read.
 
     Raises
     ------
     RecordingError  of the first image, if none can be read.
     """
-    first: RecordingError | None = None
-    for i, item in enumerate(listed):
+
+    def size(i: int) -> tuple[int, int]:
         where = f"{path}: frames[{i}]"
-        try:
-            return read_color(_color(folder, json_object(item, where).get("file_path"), where)).shape[1::-1]
-        except RecordingError as problem:
-            first = first or problem
-    raise first or RecordingError(f"{path}: frames: expected one at least, got none")
+        return read_color(_color(folder, json_object(listed[i], where).get("file_path"), where)).shape[1::-1]
+
+    return first_readable(range(len(listed)), size)
 
 
 def _color(folder: Path, relative: Any, where: str) -> Path:

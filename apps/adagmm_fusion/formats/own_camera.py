@@ -3,12 +3,10 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-import numpy as np
-
-from adagmm_fusion.errors import RecordingError
-from adagmm_fusion.files.image_files import image_size
+from adagmm_fusion.files.image_files import first_readable, image_size
 from adagmm_fusion.files.input_file import is_given
 from adagmm_fusion.formats.camera_files import find_camera_files, read_camera_file
+from adagmm_fusion.formats.folder_cameras import FolderCameras, find_cameras
 from adagmm_fusion.formats.options import ReadOptions
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 
@@ -27,7 +25,7 @@ def calibration_with_own(
 
     Parameters
     ----------
-    known, depth_scale : what the data set says.    depths : depth images, for the size where the file has none.
+    known, depth_scale : what the data set says.    depths : depth images, one at least, on the colour camera's grid.
     beside : a file that counts where the folder has none.
 
     Raises
@@ -35,25 +33,18 @@ def calibration_with_own(
     RecordingError  if a camera file cannot be used, or two of them disagree, or nothing knows the intrinsics.
     RigError  as ReadOptions.calibration.
     """
-    if options.rig is not None:
-        return *options.calibration(sensor, known, depth_scale, folder), ()
-    cameras = [camera for path in find_camera_files(folder) if (camera := read_camera_file(path)) is not None]
-    if not cameras and beside is not None and is_given(beside):
-        cameras = [camera for camera in [read_camera_file(beside)] if camera is not None]
-    if not cameras:
-        return *options.calibration(sensor, known, depth_scale, folder), ()
-    first, *others = cameras
-    for other in others:
-        if not np.array_equal(first.K, other.K) or first.distortion != other.distortion:
-            raise RecordingError(
-                f"{other.path}: expected the camera matrix and distortion of {first.path.name}, got others; keep one "
-                "of the two files, or give a rig file"
-            )
-    there = next((path for path in depths if path.exists()), None)
-    if first.size is None and there is None:
-        raise RecordingError(f"{folder}: expected depth images, got none; {first.path.name} does not say their size")
-    sizes = (first.size or image_size(there),)
-    notes = [f"the intrinsics are those of {first.path.name}"]
-    if (doubt := first.doubt(sizes)) is not None:
-        notes.append(doubt)
-    return first.intrinsics(sizes), first.depth_scale or depth_scale, tuple(notes)
+    found = FolderCameras()
+    if options.rig is None:
+        if find_camera_files(folder):
+            size = first_readable(depths, image_size)
+            found = find_cameras(folder, size, size)
+        elif beside is not None and is_given(beside) and (camera := read_camera_file(beside)) is not None:
+            size = first_readable(depths, image_size)
+            doubt = camera.doubt((size,))
+            found = FolderCameras(camera, depth_scale=camera.depth_scale, notes=() if doubt is None else (doubt,))
+    if found.color is None:
+        return *options.calibration(sensor, known, depth_scale, folder), found.notes
+    notes = [f"the intrinsics are those of {found.color.path.name}", *found.notes]
+    if found.depth is not None:
+        notes.append(f"{found.depth.path.name} is not used: this format's depth is registered to the colour image")
+    return found.color.intrinsics((size,)), found.depth_scale or depth_scale, tuple(notes)

@@ -23,6 +23,8 @@ RERUN = Path(rerun_cli.__file__).parent / "rerun"
 STARTING_SECONDS = LOADING_SECONDS = 120.0
 SECONDS_BETWEEN_LOOKS = 0.1
 MCP_VERSION = "2025-03-26"
+# What the client raises of a viewer that is gone, or that a busy machine keeps from answering.
+NO_ANSWER = (ConnectionError, TimeoutError)
 
 
 @contextlib.contextmanager
@@ -35,7 +37,8 @@ def headless_viewer(
 
     Raises
     ------
-    RecordingError  if the file is not there or does not load.    OutputError  if the viewer cannot be started.
+    RecordingError  if the file is not there or does not load.
+    OutputError  if the viewer cannot be started, or no longer answers.
     """
     check_input(Path(path), RecordingError, missing="no such Rerun recording")
     port = free_port()
@@ -58,6 +61,8 @@ def headless_viewer(
         if theme is not None:
             choose_theme(viewer, theme, port)
         yield viewer
+    except NO_ANSWER as error:
+        raise OutputError(f"rerun viewer: no answer: {first_line(error)}") from error
     finally:
         process.terminate()
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -72,12 +77,17 @@ def _connected(process: subprocess.Popen, port: int) -> ViewerClient:
         try:
             viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
             viewer.get_state()
-        except (ConnectionError, RuntimeError):
+        except (*NO_ANSWER, RuntimeError):
             time.sleep(SECONDS_BETWEEN_LOOKS)
         else:
             return viewer
     why = f"still silent after {STARTING_SECONDS:g} s" if process.poll() is None else f"ended with {process.poll()}"
     raise OutputError(f"rerun viewer: could not be started: {why}; it needs a Vulkan driver (mesa-vulkan-drivers)")
+
+
+def first_line(error: BaseException) -> str:
+    """What the error says, less what the viewer writes below it."""
+    return str(error).split("\n")[0] or type(error).__name__
 
 
 def choose_theme(viewer: ViewerClient, theme: Theme, port: int) -> None:

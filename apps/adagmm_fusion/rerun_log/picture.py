@@ -18,7 +18,14 @@ from rerun.experimental import ViewerClient
 
 from adagmm_fusion.errors import OutputError
 from adagmm_fusion.files.atomic_file import check_output_file, replacing
-from adagmm_fusion.rerun_log.headless_viewer import SECONDS_BETWEEN_LOOKS, THEMES, Theme, headless_viewer
+from adagmm_fusion.rerun_log.headless_viewer import (
+    NO_ANSWER,
+    SECONDS_BETWEEN_LOOKS,
+    THEMES,
+    Theme,
+    first_line,
+    headless_viewer,
+)
 from adagmm_o3d.errors import AdaGMMError, InputError
 
 RESTING_SECONDS = 120.0
@@ -39,8 +46,8 @@ def screenshot(viewer: ViewerClient, view_id: str | None = None) -> np.ndarray:
     while time.monotonic() < give_up:
         try:
             png = viewer.take_screenshot(view_id)
-        except ConnectionError as error:  # a busy machine paints too late for one screenshot
-            problem = str(error).split("\n")[0]
+        except NO_ANSWER as error:  # a busy machine paints too late for one screenshot
+            problem = first_line(error)
         else:
             if png == before:
                 return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1]

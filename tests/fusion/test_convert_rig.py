@@ -1,6 +1,7 @@
 """`adagmm-fusion convert-rig`: what ROS and OpenCV wrote about two cameras is the same rig in our file."""
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -276,6 +277,27 @@ def test_coefficients_of_another_lens_model_are_refused(tmp_path, capsys, suffix
         assert f"{path}: {name}: expected plumb_bob or rational_polynomial, got " in capsys.readouterr().err
     else:
         assert load_rig(tmp_path / "rig.yaml").sensors["left"].intrinsics == LEFT
+
+
+@pytest.mark.parametrize(
+    "stated, taken", [({"distortion_model": "equidistant"}, True), ({"camera_model": "KB8"}, False)]
+)
+@pytest.mark.parametrize("kind", ["json", "opencv", "ros"])
+def test_a_lens_without_coefficients_is_undistorted_unless_the_camera_is_a_fisheye(tmp_path, kind, stated, taken):
+    """Of the three files one was taken."""
+    path = tmp_path / f"k.{'json' if kind == 'json' else 'yaml'}"
+    if kind == "json":
+        values = {"fx": 525.0, "fy": 527.0, "cx": 322.0, "cy": 238.0, "width": 640, "height": 480}
+        path.write_text(json.dumps(values | {"D": [0.0] * 4} | stated))
+    elif kind == "opencv":
+        opencv(path, camera_matrix=LEFT.matrix(), D=np.zeros(4), image_width=640, image_height=480, **stated)
+    else:
+        ros(path, replace(LEFT, distortion=(0.0,) * 4))
+        lines = [line for line in path.read_text().splitlines() if not line.startswith("distortion_model")]
+        path.write_text("\n".join([*lines, *(f"{name}: {value}" for name, value in stated.items())]) + "\n")
+    assert convert(tmp_path, f"left={path}") == (0 if taken else 1)
+    if taken:
+        assert load_rig(tmp_path / "rig.yaml").sensors["left"].intrinsics == replace(LEFT, distortion=())
 
 
 def test_the_depth_unit_of_a_calibration_counts_unless_an_option_says_it(tmp_path):

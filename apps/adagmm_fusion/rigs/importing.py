@@ -237,7 +237,7 @@ def _ros_camera(path: Path) -> Calibration:
     model = find("distortion_model")
     if model is not None and not is_opencv_model(model.text()) and np.any(distortion):
         model.fail(wanted_model(model.value))
-    if problem := other_lens_model({name: value for name, value in said.items() if name != "distortionmodel"}, True):
+    if problem := other_lens_model(said, bool(np.any(distortion))):
         raise RigError(f"{path}: {problem}")
     lens = tuple(distortion.tolist()) if np.any(distortion) else ()
     camera = Calibration(K, size, lens, depth_scale)

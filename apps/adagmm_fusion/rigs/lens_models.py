@@ -31,7 +31,8 @@ def is_opencv_model(name: str) -> bool:
 def other_lens_model(values: dict[str, Any], distorts: bool) -> str | None:
     """What is wrong with the lens model that fields by plain name state, or None.
 
-    distorts : whether there are coefficients that are not zero; without any, only a fisheye lens is refused.
+    distorts : whether there are coefficients that are not zero. Without any, the model of the distortion says nothing:
+        drivers name that of the lens with images they have undistorted. A camera that is a fisheye stays one.
     """
     for name, value in values.items():
         if "fisheye" in name and _is_yes(value):
@@ -41,8 +42,9 @@ def other_lens_model(values: dict[str, Any], distorts: bool) -> str | None:
         stated = name.rsplit(".", 1)[-1] in STATES_DISTORTION
         if not stated and name not in MAY_STATE_MODEL:
             continue
+        of_camera = not stated and FISHEYE.search(value)
         another = OTHER_BROWN.search(value) or (stated and not is_opencv_model(value))
-        if FISHEYE.search(value) or (distorts and another):
+        if of_camera or (distorts and another):
             return _refusal(name, value)
     return None
 

@@ -24,8 +24,8 @@ MATRIX = "\n".join(" ".join(map(str, row)) for row in SMALL.matrix())
 
 def layout(folder, color="color/{i:06d}.png", depth="depth/{i:06d}.png", K=("K.txt", MATRIX), poses=POSES):
     for i, pose in enumerate(poses):
-        write_color(folder / color.format(i=i, t=1e9 + i / 30), SMALL, pose)
-        write_depth(folder / depth.format(i=i, t=1e9 + i / 30 + 0.004), SMALL, pose, 1000)
+        write_color(folder / color.format(i=i, n=i + 1, t=1e9 + i / 30), SMALL, pose)
+        write_depth(folder / depth.format(i=i, n=i + 1, t=1e9 + i / 30 + 0.004), SMALL, pose, 1000)
     if K is not None:
         write_text(folder / K[0], K[1])
     return folder
@@ -296,6 +296,24 @@ def test_a_pose_file_a_frame_and_names_that_say_which_way(tmp_path):
     assert recording.notes[-1].endswith("are read as the inverse of camera to world: by their name")
     np.testing.assert_allclose(recording.entries[1].T_world_camera, POSES[1], rtol=0, atol=1e-6)
     assert recording.entries[2].T_world_camera is None
+
+
+@pytest.mark.parametrize(("frames", "poses"), [(0, 1), (1, 0)])
+@pytest.mark.parametrize("file", ["poses.txt", "poses/{:06d}.txt"])
+def test_frames_that_are_counted_from_0_and_poses_from_1_belong_together(tmp_path, file, frames, poses):
+    """Each frame had the pose of the next one, and the last had none."""
+    layout(tmp_path, *("color/{i}.png", "depth/{i}.png") if frames == 0 else ("color/{n}.png", "depth/{n}.png"))
+    if file == "poses.txt":
+        write_text(tmp_path / file, pose_rows(POSES, lambda i, T: f"{i + poses} {numbers(T)}"))
+    else:
+        for i, pose in enumerate(POSES):
+            write_text(tmp_path / file.format(i + poses), numbers(pose))
+    posed(tmp_path)
+    said = f"frames are counted from {frames} and their poses from {poses}: each has the pose of its place"
+    assert said in open_recording(tmp_path).notes
+    if file == "poses.txt":  # one frame has no pose: it cannot be told which
+        write_text(tmp_path / file, pose_rows(POSES[:2], lambda i, T: f"{i + poses} {numbers(T)}"))
+        assert said not in open_recording(tmp_path).notes
 
 
 # Depth of another size, or of another camera

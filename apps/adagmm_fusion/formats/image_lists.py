@@ -1,7 +1,7 @@
 """Which files of a folder are colour and which are depth images, and which belong together."""
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import islice
@@ -101,6 +101,15 @@ def number_of(path: Path) -> float | None:
     """The last number in a file's name, or None."""
     found = NUMBER.findall(path.stem)
     return float(found[-1]) if found else None
+
+
+def counted_otherwise(numbers: Collection[float], others: Collection[float]) -> float:
+    """What to add to numbers that count from 0 to have the others, which count the same frames from 1: 1, or -1 where
+    it is the other way round; 0 where they are not just that."""
+    for shift, first in ((1.0, 0.0), (-1.0, 1.0)):
+        if min(numbers, default=None) == first and {number + shift for number in numbers} == set(others):
+            return shift
+    return 0.0
 
 
 def _files(folder: Path, *, links: bool) -> Iterator[Path]:

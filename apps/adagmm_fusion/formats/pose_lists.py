@@ -11,7 +11,7 @@ many as frames, or as colour or as depth images where some have no partner. A po
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ import numpy as np
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.depth_files import read_array
 from adagmm_fusion.files.image_files import inside
-from adagmm_fusion.formats.image_lists import NUMBER, find_images, in_order, number_of, pair_images
+from adagmm_fusion.formats.image_lists import NUMBER, counted_otherwise, find_images, in_order, number_of, pair_images
 from adagmm_fusion.formats.pose_columns import in_usual_order, quaternion_columns
 from adagmm_fusion.formats.text_table import is_lost, parse_numbers, parse_pose, parse_quaternion_pose, read_rows
 from adagmm_fusion.formats.time_units import units_per_second
@@ -76,10 +76,10 @@ def find_poses(folder: Path, images: Sequence[Path], notes: list[str]) -> PoseLi
         by_number = dict(numbered)
         # What has no number beside a file a frame is about something else.
         if len(by_number) == len(numbered) > 1 and any(number_of(image) in by_number for image in images):
-            return _a_file_a_frame(by_number, images)
+            return _a_file_a_frame(by_number, images, notes)
         left_out = []
         for path in named:
-            poses = _one_file(path, folder, images) if path in known else None
+            poses = _one_file(path, folder, images, notes) if path in known else None
             if poses is not None:
                 return PoseList(poses, path)
             left_out.append(str(path.relative_to(folder)))
@@ -98,12 +98,22 @@ def _without_kind(path: Path) -> Path:
     return Path(re.sub(r"\.(pose|extrinsic|c2w|w2c)$", "", path.stem))
 
 
-def _a_file_a_frame(numbered: dict[float, Path], images: Sequence[Path]) -> PoseList:
+def _a_file_a_frame(numbered: dict[float, Path], images: Sequence[Path], notes: list[str]) -> PoseList:
     poses = []
-    for image in images:
-        path = numbered.get(-1.0 if (number := number_of(image)) is None else number)
+    for number in _as_counted([number_of(image) for image in images], numbered, notes):
+        path = numbered.get(-1.0 if number is None else number)
         poses.append(None if path is None else read_pose_file(path))
     return PoseList(poses, next(iter(numbered.values())))
+
+
+def _as_counted(numbers: Sequence[float | None], keys: Collection[float], notes: list[str]) -> Sequence[float | None]:
+    """The frames' numbers as the poses' keys count them; says so where one of both counts from 0 and one from 1."""
+    shift = counted_otherwise([number for number in numbers if number is not None], keys)
+    if not shift:
+        return numbers
+    first = ("0", "1") if shift > 0 else ("1", "0")
+    notes.append(f"frames are counted from {first[0]} and their poses from {first[1]}: each has the pose of its place")
+    return [None if number is None else number + shift for number in numbers]
 
 
 def read_pose_file(path: Path) -> np.ndarray | None:
@@ -127,7 +137,7 @@ def _pose(numbers: Sequence[float], where: str) -> np.ndarray:
     return parse_pose(T, where)
 
 
-def _one_file(path: Path, folder: Path, images: Sequence[Path]) -> list[np.ndarray | None] | None:
+def _one_file(path: Path, folder: Path, images: Sequence[Path], notes: list[str]) -> list[np.ndarray | None] | None:
     rows = _rows(path)
     if rows and re.match(r"[A-Za-z_]", rows[0][1][0] if rows[0][1] else ""):
         rows = rows[1:]  # headings
@@ -142,7 +152,7 @@ def _one_file(path: Path, folder: Path, images: Sequence[Path]) -> list[np.ndarr
     with_key = not counts <= {7, 12, 16}
     keys = [parse_numbers(words[:1], 1, where)[0] for where, words in rows] if with_key else None
     poses = [_pose_or_lost(words[1:] if with_key else words, where) for where, words in rows]
-    return _by_line(path, poses, folder, images) if keys is None else _matched(keys, poses, images)
+    return _by_line(path, poses, folder, images) if keys is None else _matched(keys, poses, images, notes)
 
 
 def _rows(path: Path) -> list[tuple[str, list[str]]]:
@@ -221,11 +231,13 @@ def _by_line(
     return [poses[i] for i in found[0]]
 
 
-def _matched(keys: list[float], poses: list[np.ndarray | None], images: Sequence[Path]) -> list[np.ndarray | None]:
+def _matched(
+    keys: list[float], poses: list[np.ndarray | None], images: Sequence[Path], notes: list[str]
+) -> list[np.ndarray | None]:
     """The pose of each frame by the last number in its name, or the first (Redwood has the time behind it); else the
     nearest in time."""
     exact = dict(zip(keys, poses, strict=True))
-    wanted = [number_of(image) for image in images]
+    wanted = _as_counted([number_of(image) for image in images], keys, notes)
     for numbers in (wanted, [_first_number(image) for image in images]):
         if sum(number in exact for number in numbers) * 2 >= len(numbers):
             return [exact.get(np.nan if number is None else number) for number in numbers]

@@ -24,7 +24,7 @@ from adagmm_o3d.search.levels import Levels
 from adagmm_o3d.search.rotations import APART_AMBIGUOUS, search_globally
 from adagmm_o3d.search.schedule import SAME_START
 from adagmm_o3d.trust.agreement import HELD, log_held
-from adagmm_o3d.trust.judge import CERTAIN, KNOWN_AGAIN, Judge, holds
+from adagmm_o3d.trust.judge import ALIKE_HELD, CERTAIN, KNOWN_AGAIN, Judge, holds
 from adagmm_o3d.trust.rivals import SIGMA, refined
 
 # Evidence above which a pose stands by itself [nats per point, both clouds together], see `judge.Judge.evidence`.
@@ -230,26 +230,31 @@ def _found(judge: Judge, near: list[Candidate], pool: list[Candidate], vouched: 
 def _chosen(
     near: list[Candidate], pool: list[Candidate], known: float, at_start_known: float
 ) -> tuple[End, list[Array]]:
-    """The best of all, or the best near the given start where that may be right or none is clearly better; and its
-    rivals. Evidence above `known` may be a right pose's, near the start above `at_start_known`."""
+    """The best of all, or the nearest to the given start of those near it that hold no less, or may be right, or to
+    which none is clearly better; and its rivals. Evidence above `known` may be a right pose's, near the start above
+    `at_start_known`."""
     ranked = _ranked([*near, *pool])
     best = ranked[0]
     at_start = next((one for one in ranked if one in near), None)
-    if best not in near:
-        # Of a room of which either cloud lacks another end, all walls come together if it is turned by half a turn.
-        right = [one for one in near if one.evidence > at_start_known and holds(one.held)]
-        if right:
-            best = max(right, key=lambda one: one.value)
-        elif at_start is not None:
-            wanted = BETTER if best.value >= ESTABLISHED or at_start.value <= 0.0 < best.value else MUCH_BETTER
-            if best.value < at_start.value + wanted:
-                best = at_start
+    # Where clouds share little or shapes repeat themselves, walls come together and shelves fall on shelves in wrong
+    # ways that explain more than the right one; but they hold less. Not beside what is certain, or what colours say.
+    more = best.held + ALIKE_HELD if best in near else best.held
+    right = [one for one in near if known < math.inf and one.evidence > 0.0 and one.held >= more]
+    if best in near:
+        right.append(best)
+    else:
+        right += [one for one in near if one.evidence > at_start_known and holds(one.held) and one not in right]
+    if right:
+        best = _nearest(right)
+    elif at_start is not None:
+        wanted = BETTER if best.value >= ESTABLISHED or at_start.value <= 0.0 < best.value else MUCH_BETTER
+        if best.value < at_start.value + wanted:
+            best = at_start
     if best in near and len(near) > 1:
         # Where walls slide on each other, many poses near the start explain the same. A value is no more than the
         # evidence.
         least = best.value - BETTER
-        as_good = [one for one in near if one.evidence >= least and one.value >= least]
-        best = min(as_good, key=lambda one: float(pose_distance(one.end.start, one.end.pose)))
+        best = _nearest([one for one in near if one.evidence >= least and one.value >= least])
     # What is beside a surface may have come there since: a pose that holds less but explains as much is a rival.
     others = [(one.end, one.evidence) for one in ranked if one is not best]
     rivals = _rivals([(best.end, best.evidence), *others], AMBIGUOUS)
@@ -257,6 +262,11 @@ def _chosen(
     apart = [one for one in explaining if pose_distance(best.end.pose, one.end.pose) > APART_AMBIGUOUS]
     rivals += [one.end.pose for one in apart if holds(one.held, best.held)]
     return best.end, rivals
+
+
+def _nearest(candidates: list[Candidate]) -> Candidate:
+    """To their start."""
+    return min(candidates, key=lambda one: float(pose_distance(one.end.start, one.end.pose)))
 
 
 def _stay_apart(judge: Judge, pose: Array, rivals: list[Array]) -> bool:

@@ -174,7 +174,15 @@ def test_of_poses_near_the_start_that_explain_the_same_the_nearest_is_taken():
 
 @pytest.mark.parametrize(
     "at_start, held, vouched, kept",
-    [(0.6, 1.0, False, True), (0.4, 1.0, False, False), (0.4, 1.0, True, True), (0.6, 0.8, True, False)],
+    [
+        (0.6, 1.0, False, True),
+        (0.4, 1.0, False, True),
+        (-0.1, 1.0, False, False),
+        (0.6, 0.98, False, True),
+        (0.4, 0.98, False, False),
+        (0.4, 0.98, True, True),
+        (0.6, 0.8, True, False),
+    ],
 )
 def test_a_start_that_may_be_right_is_kept_though_elsewhere_more_is_explained(at_start, held, vouched, kept):
     judge = SimpleNamespace(held=lambda pose: 1.0 if np.array_equal(pose, THERE) else held)
@@ -197,6 +205,43 @@ def test_a_pose_that_explains_as_much_as_halves_of_a_cloud_do_is_a_rival_of_one_
     end, rivals = find._chosen([], pool, 0.5, 0.5)
     np.testing.assert_array_equal(end.pose, np.eye(4))
     assert len(rivals) == rival and all(np.array_equal(one, THERE) for one in rivals)
+
+
+@pytest.mark.parametrize("held, nearer", [(1.0, True), (0.9, False)])
+def test_a_pose_nearer_to_the_start_that_explains_less_is_taken_if_it_holds_more(held, nearer):
+    slid = se_exp(np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0]))
+    judge = SimpleNamespace(held=lambda pose: held if np.array_equal(pose, np.eye(4)) else 0.9)
+    near = [find.Candidate(judge, end_from(pose), value) for pose, value in ((np.eye(4), 0.5), (slid, 0.8))]
+    end, rivals = find._chosen(near, [], 1.0, 1.0)
+    np.testing.assert_array_equal(end.pose, np.eye(4) if nearer else slid)
+    assert len(rivals) == nearer
+
+
+def stairs(rng, n):
+    """(n, 3) points of nine steps and a landing beside a wall: slid by a step they fit themselves."""
+    lengths = np.tile([0.17, 0.28], 9)
+    of = rng.choice(18, n, p=lengths / lengths.sum())
+    along, step = rng.uniform(size=n) * lengths[of], of // 2
+    rise, across = of % 2 == 0, rng.uniform(0.0, 1.2, n)
+    points = np.stack([across, 0.28 * step + np.where(rise, 0, along), 0.17 * step + np.where(rise, along, 0.17)], 1)
+    landing = rng.uniform(size=n) < 0.15
+    points[landing] = np.stack([across, rng.uniform(2.52, 3.3, n), np.full(n, 1.53)], axis=1)[landing]
+    wall = rng.uniform(size=n) < 0.25
+    points[wall] = np.stack([np.full(n, 1.2), rng.uniform(0.0, 3.3, n), rng.uniform(0.0, 2.5, n)], axis=1)[wall]
+    return points
+
+
+@pytest.mark.parametrize("off", [0.0, 0.05])
+def test_stairs_that_are_aligned_stay_so_though_a_step_on_they_meet_in_more(off):
+    """Either cloud lacks another end; GICP stays where it is."""
+    T = se_exp(np.array([off, 0.0, off, off, -off, 0.0]))
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        source, target = stairs(rng, 4000), stairs(rng, 4000)
+        source, target = source[source[:, 1] < 2.2], target[target[:, 1] > 0.9]
+        source, target = (points + 0.004 * rng.normal(size=points.shape) for points in (source, target))
+        errors = pose_errors(T, register_points(source, move(target, T)).transformation)
+        assert errors.rotation_deg < 3.0 and errors.translation < 0.1, (seed, errors)
 
 
 def rooms_ends(seed):

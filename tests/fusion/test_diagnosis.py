@@ -62,6 +62,17 @@ CASES = {
         Evidence("failed", "", OFF, stage("end", 90.0, 900.0, overlap=0.31), overlap_truth=0.3),
         "overlap only 0.30 at the truth, and this pose explains the clouds as well",
     ),
+    "the truth is wrong": (
+        Evidence(
+            "failed",
+            "",
+            stage("start", 54.0, 900.0, by="features"),
+            stage("end", 54.0, 900.0, overlap=0.66),
+            overlap_truth=0.03,
+        ),
+        "the given pose does not fit the images: overlap 0.03 there and 0.66 here, where nothing speaks against; are "
+        "the recording's poses, or its rig, right?",
+    ),
     "contradicted": (
         Evidence("failed", "", OFF, stage("end", 90.0, 900.0, overlap=0.3, contradicted=0.4), overlap_truth=0.8),
         "started off (from the clouds alone, 40.0° and 900 mm off) and was not brought in; 40% of the source lies in "

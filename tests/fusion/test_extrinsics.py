@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from depth_scene import camera_pose, render
 from reader_cases import write_own
+from scipy.spatial.transform import Rotation
 from shared_data import ROOT
 
 from adagmm_fusion.cli import main
@@ -49,6 +50,26 @@ def transposed(T):
     return T
 
 
+def centimetres(T):
+    T = T.copy()
+    T[:3, 3] *= 100.0
+    return T
+
+
+def the_other_way(T):
+    T = T.copy()
+    T[:3, 3] *= -1.0
+    return T
+
+
+def w_first(T):
+    """What (w, x, y, z) gives where (x, y, z, w) is expected."""
+    x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat()
+    T = T.copy()
+    T[:3, :3] = Rotation.from_quat((w, x, y, z)).as_matrix()
+    return T
+
+
 # What was written instead of T_world_camera, by what it is to be taken for.
 MISTAKES = {
     AS_GIVEN: lambda T: T,
@@ -56,6 +77,10 @@ MISTAKES = {
     "with its rotation transposed": transposed,
     "in millimetres": millimetres,
     "the inverse, in millimetres": lambda T: millimetres(se_inverse(T)),
+    "in centimetres": centimetres,
+    "with its translation the other way": the_other_way,
+    "with w first in its quaternion": w_first,
+    "the inverse, with w first in its quaternion": lambda T: w_first(se_inverse(T)),
     "of a camera with y up and z backward": lambda T: T @ OPENGL,
     "the inverse, of a camera with y up and z backward": lambda T: se_inverse(T @ OPENGL),
 }
@@ -105,7 +130,7 @@ def test_the_share_of_agreeing_points_is_the_overlap():
     assert agreeing_share(points[:0], FRAMES[0], np.eye(4)) == 0.0
 
 
-@pytest.mark.parametrize("name", ["the inverse", "in millimetres"])
+@pytest.mark.parametrize("name", ["the inverse", "in millimetres", "in centimetres"])
 def test_a_rig_whose_extrinsics_are_meant_otherwise(tmp_path, name):
     write_own(tmp_path, [np.eye(4), se_inverse(POSES[0]) @ POSES[1]], SMALL)
     for sensor, pose in zip(("left", "right"), POSES, strict=True):

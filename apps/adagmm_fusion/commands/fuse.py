@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from adagmm_fusion.commands.recording_arguments import add_recording_arguments, recording_of
+from adagmm_fusion.commands.recording_arguments import add_recording_arguments, print_notes, recording_of
 from adagmm_fusion.processes.terminal import printable
 from adagmm_fusion.recordings.frame_sequence import Recording
 
@@ -138,6 +138,7 @@ def _fuse(args: argparse.Namespace, recording: Recording, folder: Path) -> None:
         print(printable(f"left out, their pose is not known: {len(left_out)} frames ({', '.join(left_out[:5])})"))
     shown = f"{', '.join(map(str, paths))}, {len(placed)} frames, {len(mesh.triangles)} triangles, {note}"
     print(printable(f"mesh: {shown}"))
+    print_notes(recording)
     if not args.no_rerun:
         from adagmm_fusion.rerun_log import FusedRecording
 

@@ -3,6 +3,7 @@
 import argparse
 from typing import Any
 
+from adagmm_fusion.commands.recording_arguments import print_notes
 from adagmm_fusion.processes.terminal import printable, table_console
 
 EXIT_CODES = {"unchanged": 0, "moved": 3, "undecided": 4}
@@ -51,9 +52,7 @@ def run(args: argparse.Namespace) -> int:
     AdaGMMError  if rig or recording cannot be used.
     """
     from adagmm_fusion.commands.progress import progress_bar
-    from adagmm_fusion.errors import one_line
     from adagmm_fusion.files.output_folder import check_apart
-    from adagmm_fusion.pairs.plausibility import recording_warnings
     from adagmm_fusion.pairs.settings import Settings
     from adagmm_fusion.recordings.opening import open_recording
     from adagmm_fusion.rerun_log import check_destination
@@ -84,8 +83,7 @@ def run(args: argparse.Namespace) -> int:
     for check in checks:
         console.print(_table(check))
         console.print(printable(_sentence(check)), markup=False)
-    for note in (*recording.notes, *recording_warnings(recording)):
-        print(f"note: {one_line(note)}")
+    print_notes(recording)
     if args.save or args.connect or args.serve or args.url or args.stdout:
         _show(args, checks, rig)
     verdicts = {check.verdict for check in checks}

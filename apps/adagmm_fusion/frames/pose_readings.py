@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from adagmm_fusion.frames.depth_geometry import back_project, depth_in_range
 from adagmm_fusion.frames.rgbd import RGBDFrame
@@ -20,7 +21,7 @@ CLEARLY, CLEARLY_MORE = 1.5, 0.1
 LEAST_SHARE = 0.4
 # A shorter way [m] between two frames is almost none, which near frames agree with whatever was given: numbers that
 # small were metres.
-LEAST_WAY = 0.005
+LEAST_WAY = {"millimetres": 0.005, "centimetres": 0.05}
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # x right, y up, z backward
 
@@ -37,6 +38,25 @@ def _from_millimetres(T: np.ndarray) -> np.ndarray:
     return scaled
 
 
+def _from_centimetres(T: np.ndarray) -> np.ndarray:
+    scaled = T.copy()
+    scaled[:3, 3] /= 100.0
+    return scaled
+
+
+def _the_other_way(T: np.ndarray) -> np.ndarray:
+    moved = T.copy()
+    moved[:3, 3] *= -1.0
+    return moved
+
+
+def _w_first(T: np.ndarray) -> np.ndarray:
+    """Of a pose that was made of (w, x, y, z) as if it were (x, y, z, w)."""
+    turned = T.copy()
+    turned[:3, :3] = Rotation.from_quat(np.roll(Rotation.from_matrix(T[:3, :3]).as_quat(), -1)).as_matrix()
+    return turned
+
+
 def _same(T: np.ndarray) -> np.ndarray:
     return T
 
@@ -49,6 +69,10 @@ READINGS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "with its rotation transposed": _transposed,
     "in millimetres": _from_millimetres,
     "the inverse, in millimetres": lambda T: se_inverse(_from_millimetres(T)),
+    "in centimetres": _from_centimetres,
+    "with its translation the other way": _the_other_way,
+    "with w first in its quaternion": _w_first,
+    "the inverse, with w first in its quaternion": lambda T: se_inverse(_w_first(T)),
     "of a camera with y up and z backward": lambda T: T @ OPENGL,
     "the inverse, of a camera with y up and z backward": lambda T: se_inverse(OPENGL @ T),
 }
@@ -89,7 +113,7 @@ def best_reading(pairs: Iterable[PosedPair]) -> BestReading:
             ways[name] = max(ways[name], float(np.linalg.norm(T[:3, 3])))
     means = {name: float(np.mean(values)) if values else 0.0 for name, values in shares.items()}
     given = means[AS_GIVEN]
-    too_near = {name for name in READINGS if "millimetres" in name and ways[name] < LEAST_WAY}
+    too_near = {name for name in READINGS for unit, least in LEAST_WAY.items() if unit in name and ways[name] < least}
     best = max(means.keys() - too_near, key=lambda name: (means[name], -list(READINGS).index(name)))
     if not _clearly_better(means[best], given):
         best = AS_GIVEN

@@ -14,6 +14,8 @@ COLORS_DISAGREE, COLORS_AGREE, COLORS_LOST = 0.35, 0.6, 0.1
 SAME_OVERLAP, LITTLE_OVERLAP = 0.02, 0.4
 # Of a motion that only slides along surfaces, less than this goes across them.
 SLIDES = 0.4
+# The truth rather is wrong where so much less of the clouds meets at it, and nothing speaks against the end.
+TRUTH_LOST = 0.3
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,11 @@ def diagnosis(evidence: Evidence) -> str:
         if worse_than_start(start, end):
             return f"{began} and ended worse, within the limits{_motion(evidence)}"
         return f"{began} and ended right"
+    if _truth_is_doubtful(evidence, end):
+        return (
+            f"the given pose does not fit the images: overlap {evidence.overlap_truth:.2f} there and {end.overlap:.2f} "
+            "here, where nothing speaks against; are the recording's poses, or its rig, right?"
+        )
     if _is_right(evidence, start, NEARLY):
         where = "drifted" if evidence.across is None or evidence.across >= SLIDES else "slid along the surfaces"
         return _joined(f"{began}, then {where}, {evidence.moved_mm:.0f} mm", _why_it_left(start, end))
@@ -74,6 +81,11 @@ def diagnosis(evidence: Evidence) -> str:
         )
         return _joined(equally, against)
     return _joined(f"started {_how_right(evidence, start)} ({_start(evidence, start)}) and was not brought in", against)
+
+
+def _truth_is_doubtful(evidence: Evidence, end: Stage) -> bool:
+    believed = evidence.converged and not (evidence.chance_fit or evidence.free_directions or _against(evidence, end))
+    return believed and evidence.overlap_truth is not None and evidence.overlap_truth < end.overlap - TRUTH_LOST
 
 
 def _without_truth(evidence: Evidence, start: Stage, end: Stage) -> str:

@@ -23,16 +23,18 @@ def extrinsics_notes(recording: Recording) -> tuple[str, ...]:
     for (moving, fixed), pairs in by_sensors.items():
         chosen = [pairs[i] for i in np.unique(np.linspace(0, len(pairs) - 1, PAIRS).astype(int))]
         best = best_reading(_posed(recording, chosen))
-        whose = f"the pose of {moving} to {fixed}" if moving != fixed else f"the poses of {moving}"
+        whose, s, es = f"the pose of {moving} to {fixed}", "s", "es"
+        if moving == fixed:
+            whose, s, es = f"the poses of {moving}", "", ""
         if best.name != AS_GIVEN:
             notes.append(
-                f"{whose} looks like {best.name}: read so, {100 * best.share:.0f} % of the points agree with the other "
-                f"depth image, as given {100 * best.share_as_given:.0f} %"
+                f"{whose} look{s} like {best.name}: read so, {100 * best.share:.0f} % of the points agree with the "
+                f"other depth image, as given {100 * best.share_as_given:.0f} %"
             )
         elif best.share_at_one_place:
             notes.append(
-                f"{whose} does not fit: as given {100 * best.share_as_given:.0f} % of the points agree with the other "
-                f"depth image, with both at one place {100 * best.share_at_one_place:.0f} %"
+                f"{whose} do{es} not fit: as given {100 * best.share_as_given:.0f} % of the points agree with the "
+                f"other depth image, with both at one place {100 * best.share_at_one_place:.0f} %"
             )
     return tuple(notes)
 

@@ -127,7 +127,7 @@ def test_what_cannot_be_used_is_one_line(tmp_path, capsys):
     (tmp_path / "broken.xml").write_text("<?xml version='1.0'?><opencv_storage><camera_matrix>")
     for arguments, message in (
         (["left=nowhere.yaml"], "nowhere.yaml: cannot be read"),
-        (["left"], "SENSOR=FILE: expected different names"),
+        (["left"], "SENSOR=FILE: left: there is no such file"),
         ([f"left={good}", f"left={good}"], "SENSOR=FILE: expected different names"),
         ([f"left={fisheye}"], "expected plumb_bob or rational_polynomial, got equidistant"),
         ([f"left={empty}"], "there is no image_width"),
@@ -343,7 +343,8 @@ def test_a_rig_in_millimetres_is_noticed(tmp_path, capsys, name, write):
     arguments = write(tmp_path / name, T)
     assert convert(tmp_path, *arguments) == 0
     err = capsys.readouterr().err
-    assert "are 356 m apart, which looks like millimetres taken for metres; try --length-unit mm\n" in err
+    assert "are 356 m apart, which looks like another unit taken for metres; try --length-unit cm (3.56 m) or " in err
+    assert err.endswith(" or --length-unit mm (0.356 m)\n")
     assert convert(tmp_path, *arguments, "--length-unit", "mm") == 0
     assert capsys.readouterr().err == ""
     second = list(load_rig(tmp_path / "rig.yaml").sensors.values())[1]

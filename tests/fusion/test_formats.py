@@ -265,6 +265,36 @@ def test_tum_comment_that_names_the_columns_counts(tum):
     np.testing.assert_allclose(open_recording(tum).entries[1].T_world_camera, expected, rtol=0, atol=1e-9)
 
 
+def test_tum_poses_of_nan_are_none(tum):
+    lines = (tum / "groundtruth.txt").read_text().splitlines()
+    stamp = lines[1].split()[0]
+    (tum / "groundtruth.txt").write_text("\n".join([lines[0], f"{stamp} nan nan nan nan nan nan nan", *lines[2:]]))
+    poses = [entry.T_world_camera for entry in open_recording(tum).entries]
+    assert poses[0] is None and poses[-1] is not None
+
+
+@pytest.mark.parametrize("name", ["associations.txt", "associate.txt"])
+def test_tum_with_associations_alone(tum, name):
+    """It was read as any folder, with millimetres."""
+    known = open_recording(tum)
+    pairs = [((tum / file).read_text().splitlines()) for file in ("rgb.txt", "depth.txt")]
+    rows = [[line.replace("/", "\\") for line in lines if not line.startswith("#")] for lines in pairs]
+    (tum / name).write_text("\n".join(" ".join(both) for both in zip(*rows, strict=True)) + "\n")
+    for file in ("rgb.txt", "depth.txt"):
+        (tum / file).unlink()
+    np.savetxt(tum / "K.txt", SMALL.matrix())
+    recording = open_recording(tum)
+    assert recording.format == "tum" and len(recording.entries) == len(known.entries)
+    assert recording.entries[1].load().depth_scale == 5000.0
+    np.testing.assert_allclose(recording.entries[1].T_world_camera, known.entries[1].T_world_camera, atol=1e-9)
+
+
+def test_tum_without_any_of_its_images_names_one(tum):
+    shutil.rmtree(tum / "rgb")
+    shutil.rmtree(tum / "depth")
+    refused(tum, r"none of the \d+ associated colour and depth images is there, such as rgb/")
+
+
 def test_tum_of_an_unknown_sensor_needs_a_rig(tmp_path):
     folder = tmp_path / "desk"
     write_tum(folder, POSES[:2], SMALL)

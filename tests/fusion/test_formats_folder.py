@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from depth_scene import camera_pose, render, write_tum
 from folder_layouts import OPENGL, depth_of, write_color, write_depth, write_json
+from scipy.spatial.transform import Rotation
 
 from adagmm_fusion.clouds.building import dense_cloud
 from adagmm_fusion.commands.run_many import recordings_in
@@ -285,6 +286,33 @@ def test_a_pose_near_in_time_is_of_the_nearest_frame_only(tmp_path):
     write_text(tmp_path / "trajectory.txt", f"{1e9 + 0.006:.6f} {quaternion}\n{1e9 + 0.066:.6f} {quaternion}\n")
     poses = [entry.T_world_camera is not None for entry in open_recording(tmp_path).entries]
     assert poses == [True, False, True]
+
+
+def test_numbers_with_decimal_commas_are_read(tmp_path):
+    layout(tmp_path, K=("K.txt", MATRIX.replace(".", ",")))
+    rows = [["time", "x", "y", "z", "qx", "qy", "qz", "qw"]]
+    for i, pose in enumerate(POSES):
+        rows.append([f"{i}", *(f"{x:.9f}" for x in (*pose[:3, 3], *Rotation.from_matrix(pose[:3, :3]).as_quat()))])
+    write_text(tmp_path / "poses.csv", "\n".join(";".join(row).replace(".", ",") for row in rows))
+    posed(tmp_path)
+    is_the_room(open_recording(tmp_path))
+
+
+def test_the_name_of_the_recording_says_nothing_of_its_poses(tmp_path):
+    folder = tmp_path / "w2c_and_c2w"
+    write_text(layout(folder) / "poses.txt", pose_rows(POSES, lambda i, T: numbers(np.linalg.inv(T))))
+    posed(folder)
+
+
+def test_numbers_that_no_camera_reaches_in_metres_are_millimetres(tmp_path):
+    layout(tmp_path)
+    for path in sorted((tmp_path / "depth").iterdir()):
+        depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(np.float32)
+        path.unlink()
+        np.save(path.with_suffix(".npy"), depth)
+    recording = open_recording(tmp_path)
+    assert recording.notes == ("depth is taken for millimetres, no file says so",)
+    assert 0.5 < np.nanmedian(recording.entries[0].load().depth_m()) < 10.0
 
 
 def test_a_pose_file_a_frame_and_names_that_say_which_way(tmp_path):

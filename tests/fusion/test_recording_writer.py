@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from depth_scene import camera_pose, write_apc, write_images, write_pose_file, write_redwood, write_tum, write_xtion
 
+from adagmm_fusion.cli import main
 from adagmm_fusion.errors import OutputError, RecordingError
 from adagmm_fusion.formats.tum import INTRINSICS as TUM_INTRINSICS
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame
 from adagmm_fusion.recordings.frame_sequence import FrameEntry, PairEntry, Recording
 from adagmm_fusion.recordings.opening import open_recording
-from adagmm_fusion.recordings.writer import convert_recording
+from adagmm_fusion.recordings.writer import convert_recording, with_plain_names
 from adagmm_fusion.rigs.rig import Rig, SensorCalibration, load_rig, save_rig
 
 SMALL = PinholeIntrinsics(64, 48, 60.0, 61.0, 31.5, 23.5)
@@ -138,6 +139,18 @@ def test_what_does_not_fit_the_layout(tmp_path, changes, match):
     with pytest.raises(RecordingError, match=match):
         convert_recording(memory_recording(tmp_path, [depth, depth], **changes), tmp_path / "copy")
     assert not any(tmp_path.iterdir())
+
+
+def test_names_that_the_layout_does_not_take_are_changed_and_that_is_said(tmp_path):
+    frames = tmp_path / "frames"
+    for i, name in enumerate(("Bild 0", "Büro 1", "_2")):
+        write_images(frames / f"rgb/{name}.png", frames / f"depth/{name}.png", SMALL, POSES[i], 1000)
+    np.savetxt(frames / "K.txt", SMALL.matrix())
+    assert main(["convert", str(frames), str(tmp_path / "ours")]) == 0
+    recording = open_recording(tmp_path / "ours")
+    assert sorted(entry.name for entry in recording.entries) == ["B_ro_1", "Bild_0", "_2"]
+    assert with_plain_names(open_recording(frames)).notes[-1].startswith("2 frames have other names, such as ")
+    assert with_plain_names(recording) is recording
 
 
 def test_sensors_that_move_against_each_other(tmp_path):

@@ -23,9 +23,9 @@ def run(args: argparse.Namespace) -> int:
         something.
     """
     from adagmm_fusion.commands.progress import progress_bar
-    from adagmm_fusion.recordings.writer import convert_recording
+    from adagmm_fusion.recordings.writer import convert_recording, with_plain_names
 
-    recording = recording_of(args)
+    recording = with_plain_names(recording_of(args))
     with progress_bar(recording.name) as report:
         manifest = convert_recording(recording, args.output, on_frame=report)
     frames = f"{len(recording.entries)} frame(s) of {', '.join(recording.sensors)}"

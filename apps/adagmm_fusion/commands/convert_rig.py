@@ -91,7 +91,9 @@ def _far_apart(found: dict[str, Any]) -> str | None:
     metres, a, b = max(apart, default=(0.0, "", ""))
     if metres <= FAR_M:
         return None
-    return f"{a} and {b} are {metres:.0f} m apart, which looks like millimetres taken for metres; try --length-unit mm"
+    units = ["cm", "mm"] if metres <= FAR_M / METRES_PER_UNIT["cm"] else ["mm"]
+    said = " or ".join(f"--length-unit {unit} ({metres * METRES_PER_UNIT[unit]:.3g} m)" for unit in units)
+    return f"{a} and {b} are {metres:.0f} m apart, which looks like another unit taken for metres; try {said}"
 
 
 def _note(text: str) -> None:
@@ -111,6 +113,8 @@ def _one_by_one(args: argparse.Namespace, size: tuple[int, int] | None, metres_p
     cameras = {}
     for number, text in enumerate(args.sensors, 1):
         name, equals, path = text.partition("=")
+        if not equals and not Path(text).exists():
+            raise InputError(f"SENSOR=FILE: {text}: there is no such file")
         if not (name and equals and path) or name in cameras:
             raise InputError(f"SENSOR=FILE: expected different names as left=left.yaml, got {text!r}")
         plain = read_plain_json(Path(path), size, name)

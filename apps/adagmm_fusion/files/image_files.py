@@ -36,6 +36,9 @@ def inside(root: Path, relative: str, where: str) -> Path:
     """
     path = root / relative
     try:
+        if "\\" in relative and not path.exists():  # written on Windows
+            relative = relative.replace("\\", "/")
+            path = root / relative
         path.exists()
         outside = Path(relative).is_absolute() or not path.resolve().is_relative_to(root.resolve())
     except (OSError, RuntimeError, ValueError) as problem:  # too long, a NUL byte, links in a circle

@@ -35,6 +35,7 @@ from adagmm_fusion.formats.camera_fields import (
     is_something,
 )
 from adagmm_fusion.formats.options import intrinsics_from_matrix
+from adagmm_fusion.formats.text_table import with_decimal_points
 from adagmm_fusion.frames.rgbd import DISTORTION_LENGTHS, PinholeIntrinsics
 from adagmm_fusion.rigs.depth_units import depth_scale_of
 from adagmm_fusion.rigs.importing import (
@@ -135,7 +136,8 @@ def read_camera_file(path: Path) -> CameraFile | None:
         from adagmm_fusion.files.image_files import read_depth
 
         return _sized_by_name(_from_numbers(path, read_depth(path).astype(np.float64).ravel().tolist()))
-    text = read_input_text(path, RecordingError)[:100_000]
+    lines = read_input_text(path, RecordingError)[:100_000].splitlines()
+    text = "\n".join(map(with_decimal_points, lines))
     named = _named_values(path, text)
     if named:
         return _sized_by_name(_from_document(path, named))

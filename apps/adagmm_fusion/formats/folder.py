@@ -8,7 +8,8 @@
     depth_to_color.txt               optional, 4x4, metres: from the depth to the colour camera (or color_to_depth)
     poses/, trajectory.txt ...       optional; see pose_lists.py
 
-Whole numbers of depth are millimetres and others metres, unless a calibration says depth_scale or depth_units. Depth of
+Whole numbers of depth are millimetres and others metres, or millimetres too where metres would be beyond any camera's
+reach, unless a calibration says depth_scale or depth_units. Depth of
 another size, or of another camera whose calibration is there, is brought onto the colour image. Poses are camera to
 world or world to camera, as their file's name says, else as the depth images agree better. A rig file replaces the
 intrinsics; one with the sensors `color` and `depth` calibrates both cameras.
@@ -34,6 +35,7 @@ NAME = "folder"
 SUMMARY = "any folder of colour and depth images with intrinsics"
 SENSOR = "camera"
 MILLIMETRES_PER_METRE = 1000.0
+FAR_M = 100.0
 # Pairs that are looked at to find which way round the poses are.
 PAIRS = 3
 
@@ -54,7 +56,7 @@ def read(folder: Path, options: ReadOptions) -> Recording:
     for path in (path for _, *paths in images for path in paths):
         inside(folder, str(path.relative_to(folder)), str(folder))
     notes = list(_unpaired(folder, lists, images))
-    color_size, depth_size, whole_numbers = _first_sizes(images)
+    color_size, depth_size, millimetres = _first_sizes(images)
     found = FolderCameras() if options.rig is not None else find_cameras(folder, color_size, depth_size)
     color, of_depth = found.color, found.depth
     notes += found.notes
@@ -65,9 +67,9 @@ def read(folder: Path, options: ReadOptions) -> Recording:
             f"{found.not_understood}; add intrinsics.json with width, height, fx, fy, cx, cy, or give a rig file"
         )
     said = found.depth_scale
-    depth_scale = said or (MILLIMETRES_PER_METRE if whole_numbers else 1.0)
+    depth_scale = said or (MILLIMETRES_PER_METRE if millimetres else 1.0)
     if said is None and options.rig is None:
-        notes.append(f"depth is taken for {'millimetres' if whole_numbers else 'metres'}, no file says so")
+        notes.append(f"depth is taken for {'millimetres' if millimetres else 'metres'}, no file says so")
     frames = [
         ListedFrame(
             name,
@@ -100,8 +102,8 @@ def _place(path: Path, folder: Path) -> str:
 
 
 def _first_sizes(images: list[tuple[str, Path, Path]]) -> tuple[tuple[int, int], tuple[int, int], bool]:
-    """(width, height) of colour and of depth, and whether depth is in whole numbers, of the first frame that can be
-    read.
+    """(width, height) of colour and of depth, and whether depth rather is in millimetres, of the first frame that can
+    be read.
 
     Raises
     ------
@@ -110,9 +112,15 @@ def _first_sizes(images: list[tuple[str, Path, Path]]) -> tuple[tuple[int, int],
 
     def sizes(image: tuple[str, Path, Path]) -> tuple[tuple[int, int], tuple[int, int], bool]:
         color, depth = read_color(image[1]), read_depth(image[2])
-        return color.shape[1::-1], depth.shape[::-1], depth.dtype == np.uint16
+        return color.shape[1::-1], depth.shape[::-1], depth.dtype == np.uint16 or _is_too_far(depth)
 
     return first_readable(images, sizes)
+
+
+def _is_too_far(depth: np.ndarray) -> bool:
+    """Whether half of what is measured would be further away than any depth camera sees, were it metres."""
+    measured = depth[np.isfinite(depth) & (depth > 0)]
+    return len(measured) > 0 and float(np.median(measured)) > FAR_M
 
 
 def _posed(

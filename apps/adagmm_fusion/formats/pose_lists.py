@@ -21,7 +21,14 @@ from adagmm_fusion.files.depth_files import read_array
 from adagmm_fusion.files.image_files import inside
 from adagmm_fusion.formats.image_lists import NUMBER, counted_otherwise, find_images, in_order, number_of, pair_images
 from adagmm_fusion.formats.pose_columns import in_usual_order, quaternion_columns
-from adagmm_fusion.formats.text_table import is_lost, parse_numbers, parse_pose, parse_quaternion_pose, read_rows
+from adagmm_fusion.formats.text_table import (
+    is_lost,
+    parse_numbers,
+    parse_pose,
+    parse_quaternion_pose,
+    read_rows,
+    with_decimal_points,
+)
 from adagmm_fusion.formats.time_units import units_per_second
 
 NAME = re.compile(
@@ -47,9 +54,9 @@ class PoseList:
     to_world : whether the names say that they map the camera to the world; None where they do not say.
     """
 
-    def __init__(self, by_frame: list[np.ndarray | None], path: Path) -> None:
+    def __init__(self, by_frame: list[np.ndarray | None], path: Path, folder: Path) -> None:
         self.by_frame, self.path = by_frame, path
-        name = f"{path.parent.name}/{path.name}"
+        name = str(path.relative_to(folder))  # that of the recording says nothing
         self.to_world = True if TO_WORLD.search(name) else False if TO_CAMERA.search(name) else None
 
 
@@ -76,12 +83,12 @@ def find_poses(folder: Path, images: Sequence[Path], notes: list[str]) -> PoseLi
         by_number = dict(numbered)
         # What has no number beside a file a frame is about something else.
         if len(by_number) == len(numbered) > 1 and any(number_of(image) in by_number for image in images):
-            return _a_file_a_frame(by_number, images, notes)
+            return PoseList(_a_file_a_frame(by_number, images, notes), next(iter(by_number.values())), folder)
         left_out = []
         for path in named:
             poses = _one_file(path, folder, images, notes) if path in known else None
             if poses is not None:
-                return PoseList(poses, path)
+                return PoseList(poses, path, folder)
             left_out.append(str(path.relative_to(folder)))
         if left_out:
             more = f" and {len(left_out) - 3} more" if len(left_out) > 3 else ""
@@ -98,12 +105,12 @@ def _without_kind(path: Path) -> Path:
     return Path(re.sub(r"\.(pose|extrinsic|c2w|w2c)$", "", path.stem))
 
 
-def _a_file_a_frame(numbered: dict[float, Path], images: Sequence[Path], notes: list[str]) -> PoseList:
+def _a_file_a_frame(numbered: dict[float, Path], images: Sequence[Path], notes: list[str]) -> list[np.ndarray | None]:
     poses = []
     for number in _as_counted([number_of(image) for image in images], numbered, notes):
         path = numbered.get(-1.0 if number is None else number)
         poses.append(None if path is None else read_pose_file(path))
-    return PoseList(poses, next(iter(numbered.values())))
+    return poses
 
 
 def _as_counted(numbers: Sequence[float | None], keys: Collection[float], notes: list[str]) -> Sequence[float | None]:
@@ -158,7 +165,8 @@ def _one_file(path: Path, folder: Path, images: Sequence[Path], notes: list[str]
 def _rows(path: Path) -> list[tuple[str, list[str]]]:
     """("file:line", the words) of each line; of an array each matrix is a line, of a single one each row."""
     if path.suffix.lower() not in BINARY:
-        return [(where, re.sub(r"[,;\[\]]", " ", " ".join(words)).split()) for where, words in read_rows(path)]
+        rows = ((where, with_decimal_points(" ".join(words))) for where, words in read_rows(path))
+        return [(where, re.sub(r"[,;\[\]]", " ", row).split()) for where, row in rows]
     array = read_array(path)
     table = array.reshape(len(array), -1) if array.ndim in (2, 3) else np.zeros((0, 0))
     return [(f"{path}: [{i}]", [repr(float(x)) for x in row]) for i, row in enumerate(table[:MAX_POSES])]

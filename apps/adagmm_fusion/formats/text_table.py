@@ -1,5 +1,6 @@
 """Text files of words and numbers, line by line, without blank lines and # comments; errors name file and line."""
 
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.input_file import read_input_text
 from adagmm_fusion.frames.rgbd import checked_rigid_transformation
 from adagmm_o3d.errors import InputError
+
+NUMBER_WITH_COMMA = re.compile(r"[-+]?\d+(,\d+)?([eE][-+]?\d+)?")
 
 
 def read_lines(path: Path) -> Iterator[tuple[str, str]]:
@@ -26,6 +29,14 @@ def read_rows(path: Path) -> Iterator[tuple[str, list[str]]]:
         words = line.split("#", 1)[0].split()
         if words:
             yield where, words
+
+
+def with_decimal_points(line: str) -> str:
+    """A line of numbers between semicolons or spaces that have decimal commas, with points; any other as it is."""
+    words = re.split(r"[;\s]+", line.strip("; \t"))
+    if len(words) < 2 or not all(NUMBER_WITH_COMMA.fullmatch(word) for word in words):
+        return line
+    return line.replace(",", ".")
 
 
 def parse_numbers(words: list[str], count: int, where: str) -> list[float]:

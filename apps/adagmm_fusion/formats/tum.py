@@ -3,10 +3,10 @@
     rgb.txt, depth.txt      lines "timestamp path", e.g. 1305031233.731201 depth/1305031233.731201.png; # comments
     associations.txt        optional: lines "timestamp path timestamp path", colour and depth in either order, told
                             apart by depth.txt or the folder name depth/; without it the nearest stamps within 20 ms
-                            are associated
+                            are associated. With it rgb.txt and depth.txt need not be there
     groundtruth.txt         optional: lines "timestamp tx ty tz qx qy qz qw", or as a comment above names the columns,
                             camera to world, metres; interpolated at the depth stamp (linear, slerp) where the samples
-                            around it are at most 0.1 s apart
+                            around it are at most 0.1 s apart; a pose of NaN is none
     pairs.txt               optional: lines "source_depth_stamp target_depth_stamp"
 
 Times are seconds; whole numbers that must be milli-, micro- or nanoseconds, by their size or distance, are taken so.
@@ -30,7 +30,7 @@ from adagmm_fusion.files.input_file import is_given, read_input_text
 from adagmm_fusion.formats.options import ReadOptions
 from adagmm_fusion.formats.own_camera import calibration_with_own
 from adagmm_fusion.formats.pose_columns import in_usual_order, quaternion_columns
-from adagmm_fusion.formats.text_table import parse_numbers, read_rows
+from adagmm_fusion.formats.text_table import is_lost, parse_numbers, read_rows
 from adagmm_fusion.formats.time_units import units_per_second
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.recordings.frame_sequence import FrameEntry, PairEntry, Recording, sequential_pairs
@@ -42,6 +42,8 @@ DEPTH_SCALE = 5000.0
 MAX_ASSOCIATION_GAP_S = 0.02
 MAX_WITHIN_GAP = 100  # no camera is that fast; all pairs of so many would be compared
 MAX_POSE_GAP_S = 0.1
+LISTS = ("rgb.txt", "depth.txt")
+ASSOCIATIONS = ("associations.txt", "associate.txt", "association.txt")
 # The benchmark's calibrations of the colour cameras, which the depth is registered to.
 INTRINSICS = {
     "1": PinholeIntrinsics(640, 480, 517.3, 516.5, 318.6, 255.3, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
@@ -51,18 +53,34 @@ INTRINSICS = {
 
 
 def matches(folder: Path) -> bool:
-    return is_given(folder / "rgb.txt") and is_given(folder / "depth.txt")
+    if all(is_given(folder / name) for name in LISTS):
+        return True
+    listed = _associations_file(folder)
+    if listed is None or any(folder.glob("*.gt.freiburg")):  # the latter is ICL-NUIM's
+        return False
+    try:
+        first = next(read_rows(listed), ("", []))[1]
+    except RecordingError:
+        return False
+    return len(first) == 4 and any(word.replace("\\", "/").startswith("depth/") for word in first[1::2])
 
 
 def read(folder: Path, options: ReadOptions) -> Recording:
-    (colors, _), (depths, depth_units) = _read_stamps(folder, "rgb.txt"), _read_stamps(folder, "depth.txt")
-    if is_given(folder / "associations.txt"):
-        associations = _read_associations(folder, depths)
+    listed = _associations_file(folder)
+    if listed is not None and not all(is_given(folder / name) for name in LISTS):
+        associations, depth_units = _read_associations(folder, listed, ())
     else:
-        associations = _associate(folder, colors, depths)
+        (colors, _), (depths, depth_units) = _read_stamps(folder, "rgb.txt"), _read_stamps(folder, "depth.txt")
+        if listed is None:
+            associations = _associate(folder, colors, depths)
+        else:
+            associations, _ = _read_associations(folder, listed, depths)
     present = [a for a in associations if a[2].exists() or a[1].exists()]
     if not present:
-        raise RecordingError(f"{folder}: none of the {len(associations)} associated colour and depth images is there")
+        first = f", such as {associations[0][1].relative_to(folder)}" if associations else ""
+        raise RecordingError(
+            f"{folder}: none of the {len(associations)} associated colour and depth images is there{first}"
+        )
     stamps = np.array([depth_stamp for depth_stamp, _, _ in present])
     poses = _poses_at(folder / "groundtruth.txt", stamps)
     intrinsics, depth_scale, notes = calibration_with_own(
@@ -98,21 +116,27 @@ def _read_stamps(folder: Path, name: str) -> tuple[list[tuple[float, Path]], flo
     return sorted((stamp / units, path) for stamp, path in listed), units
 
 
-def _read_associations(folder: Path, depths: list[tuple[float, Path]]) -> list[tuple[float, Path, Path]]:
-    """(depth stamp [s], colour path, depth path), by time."""
+def _associations_file(folder: Path) -> Path | None:
+    return next((folder / name for name in ASSOCIATIONS if is_given(folder / name)), None)
+
+
+def _read_associations(
+    folder: Path, listed: Path, depths: Sequence[tuple[float, Path]]
+) -> tuple[list[tuple[float, Path, Path]], float]:
+    """(depth stamp [s], colour path, depth path), by time, and how many units of the file a second has."""
     depth_paths = {path for _, path in depths}
     associations = []
-    for where, words in read_rows(folder / "associations.txt"):
+    for where, words in read_rows(listed):
         if len(words) != 4:
             raise RecordingError(f"{where}: expected 'timestamp path timestamp path', got {' '.join(words)!r}")
         stamps = parse_numbers(words[0::2], 2, where)
         first, second = (inside(folder, word, where) for word in words[1::2])
-        if first in depth_paths or words[1].startswith("depth/"):
+        if first in depth_paths or first.is_relative_to(folder / "depth"):
             associations.append((stamps[0], second, first))
         else:
             associations.append((stamps[1], first, second))
     units = units_per_second(stamp for stamp, _, _ in associations)
-    return sorted((stamp / units, color, depth) for stamp, color, depth in associations)
+    return sorted((stamp / units, color, depth) for stamp, color, depth in associations), units
 
 
 def _associate(
@@ -143,6 +167,8 @@ def _poses_at(path: Path, stamps: np.ndarray) -> list[np.ndarray | None]:
     rows, columns = [], quaternion_columns(path)
     for where, words in read_rows(path):
         words = in_usual_order(words, columns, where)
+        if is_lost(words[1:]):
+            continue
         numbers = parse_numbers(words, 8, where)
         if abs(np.linalg.norm(numbers[4:]) - 1) > 0.01:
             raise RecordingError(f"{where}: expected a unit quaternion qx qy qz qw, got {' '.join(words[4:])}")
@@ -189,7 +215,7 @@ def _read_pairs(path: Path, stamps: np.ndarray, units: float) -> tuple[PairEntry
 
 
 def _known_intrinsics(folder: Path) -> PinholeIntrinsics | None:
-    head = read_input_text(folder / "depth.txt", RecordingError)[:1000]
+    head = read_input_text(folder / "depth.txt", RecordingError)[:1000] if is_given(folder / "depth.txt") else ""
     found = re.search(r"freiburg([123])|\bfr([123])(?![0-9])", folder.resolve().name.replace("_", " ")) or re.search(
         r"freiburg([123])", head
     )

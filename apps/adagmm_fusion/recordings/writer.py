@@ -2,8 +2,10 @@
 
 import json
 import os
+import re
 import shutil
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,27 @@ from adagmm_o3d.lie import se_inverse
 RIG_FILE = "rig.yaml"
 # Depth that is not stored as whole units already is stored in millimetres.
 MILLIMETRES_PER_METRE = 1000.0
+
+
+def with_plain_names(recording: Recording) -> Recording:
+    """The recording with frames whose names our layout takes, and a note where some were others: Büro 1 is B_ro_1."""
+    renamed: dict[str, str] = {}
+    taken = {entry.name for entry in recording.entries}
+    for entry in recording.entries:
+        if FRAME_NAME.fullmatch(entry.name) or entry.name in renamed:
+            continue
+        plain = re.sub(r"[^A-Za-z0-9_.-]", "_", entry.name)
+        plain = plain if FRAME_NAME.fullmatch(plain) else f"_{plain}"
+        while plain in taken:
+            plain += "_"
+        renamed[entry.name] = plain
+        taken.add(plain)
+    if not renamed:
+        return recording
+    entries = tuple(replace(entry, name=renamed.get(entry.name, entry.name)) for entry in recording.entries)
+    name, plain = next(iter(renamed.items()))
+    note = f"{len(renamed)} frames have other names, such as {plain} for {name}"
+    return replace(recording, entries=entries, notes=(*recording.notes, note))
 
 
 def convert_recording(
@@ -80,7 +103,9 @@ def _moments(recording: Recording) -> dict[str, dict[str, FrameEntry]]:
     moments: dict[str, dict[str, FrameEntry]] = {}
     for entry in recording.entries:
         if not FRAME_NAME.fullmatch(entry.name):
-            raise RecordingError(f"{recording.path}: frame {entry.name!r} has a name that is no plain file name")
+            raise RecordingError(
+                f"{recording.path}: frame {entry.name!r} has a name that is no plain file name; see with_plain_names"
+            )
         if entry.sensor in moments.setdefault(entry.name, {}):
             raise RecordingError(f"{recording.path}: {entry.sensor} has two frames {entry.name}")
         moments[entry.name][entry.sensor] = entry

@@ -49,7 +49,7 @@ def read_rig_file(
     raise RigError(
         f"{path}: expected Kalibr's camchain, Open3D's camera trajectory, COLMAP's folder, multical's "
         "calibration.json, a MATLAB stereo calibration or a ROS bag; the calibration of one camera is given as "
-        "SENSOR=FILE"
+        "SENSOR=FILE, OpenCV's of two in one file as left=FILE right=FILE --stereo FILE"
     )
 
 

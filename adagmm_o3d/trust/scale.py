@@ -1,15 +1,18 @@
 """Whether the clouds are of one size: the scale that their surfaces ask for at the pose, and how sure that is.
 
-A few Gauss-Newton steps of point to plane from the final pose, with the scale free as a seventh direction. Where the
-clouds share little, scale and pose can make up for each other, and for the bias of a sensor: nothing is said there.
+A few Gauss-Newton steps of point to plane from the final pose, with the scale free as a seventh direction; and from the
+ratio of the clouds' radii, if clearly more of both meets there, and nearly all. Where the clouds share little, scale
+and pose can make up for each other, and for the bias of a sensor: nothing is said there.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.m_step import FREE
@@ -24,8 +27,9 @@ STEPS = 4
 REACH, LEAST_REACH, ROBUST = 2.0, 0.08, 2.0
 # The edge of a block whose errors are one, in radii.
 BLOCK = 0.25
-# Fewer pairs than this share of all points do not tell, nor fewer than so many.
-LEAST_SHARE, LEAST_PAIRS = 0.6, 30
+# Where less than this share of all points has a partner that does not tell, nor fewer pairs than so many. Of a size far
+# off nearly all must have one, and by so much more than at the pose as it is one that faces the same way.
+LEAST_SHARE, LEAST_PAIRS, NEARLY_ALL, MORE = 0.75, 30, 0.85, 0.05
 # A scale moves the points along their normals by this share of a radius at least, in the mean and beyond what a pose
 # can make up for, or it is not told from none: on a wall it moves them along the wall.
 LEAST_MOVED = 0.05
@@ -47,35 +51,70 @@ class Scale:
         return off > max(NOTICED, SURE * self.deviation)
 
 
+class _Meeting(NamedTuple):
+    """Points where either cloud meets the other, both ways: a point of the source by the target's normal, and one of
+    the target by the source's, rows `across` along `axes` from the points `at` of the source, (m, 3).
+
+    share : of all points, that are near one of the other cloud.    alike : (m,) bool, which of them face as it does.
+    """
+
+    at: Array
+    axes: Array
+    across: Array
+    share: float
+    alike: NDArray[np.bool_]
+
+
 def estimate_scale(source: Surface, target: Surface, pose: Array, dimension: int) -> Scale | None:
     """The scale of the source at about a pose (4, 4) between normalised clouds; None where too little is shared, or the
     surfaces leave it free."""
+    found, alike = _refined(source, target, pose, source.points.mean(axis=0), 0.0, LEAST_SHARE, dimension)
+    if found is not None and found.differs:
+        return found
+    # Beyond what the points reach of each other, whole clouds of other sizes have other radii.
+    (middle, radius), (to, radius_to) = (_extent(surface.points) for surface in (source, target))
+    logarithm = math.log(radius_to / radius)
+    if abs(logarithm) > NOTICED:
+        centred = pose.copy()
+        centred[:3, 3] = to - pose[:3, :3] @ middle
+        scaled, more = _refined(source, target, centred, middle, logarithm, NEARLY_ALL, dimension)
+        if scaled is not None and more > alike + MORE:
+            return scaled
+    return found
+
+
+def _extent(points: Array) -> tuple[Array, float]:
+    """The middle of the points, and how far they are off it, root mean square."""
+    middle = points.mean(axis=0)
+    return middle, math.sqrt(float(((points - middle) ** 2).sum(axis=1).mean()))
+
+
+def _refined(
+    source: Surface,
+    target: Surface,
+    pose: Array,
+    about: Array,
+    logarithm: float,
+    least_share: float,
+    dimension: int,
+) -> tuple[Scale | None, float]:
+    """From a pose, and the logarithm of a scale about a point of the source: the scale, None where less than
+    `least_share` of the points have a partner at last; and the share of them whose partner faces as they do, in the
+    last step there was."""
     spacing = max(source.spacing, target.spacing)
-    centre = (source.points @ pose[:3, :3].T + pose[:3, 3]).mean(axis=0)
-    offsets, normals = source.points @ pose[:3, :3].T + pose[:3, 3] - centre, source.normals @ pose[:3, :3].T
-    fixed = target.points - centre
+    centre = pose[:3, :3] @ about + pose[:3, 3]
+    offsets, normals = (source.points - about) @ pose[:3, :3].T, source.normals @ pose[:3, :3].T
     free = [*FREE[dimension], 6]
-    logarithm = 0.0
-    for _ in range(STEPS):
-        moved = math.exp(logarithm) * offsets
-        to, squares = target.index.query(moved + centre)
-        back, squares_back = NeighborIndex(moved).query(fixed)
-        to, back = to[:, 0], back[:, 0]
-        # both ways: a point of the source by the target's normal, and one of the target by the source's
-        at = np.concatenate([moved, moved[back]])
-        axes = np.concatenate([target.normals[to], normals[back]])
-        across = np.concatenate([fixed[to] - moved, fixed - moved[back]])
-        cosines = np.concatenate(
-            [(target.normals[to] * normals).sum(axis=1), (target.normals * normals[back]).sum(axis=1)]
-        )
-        near = np.concatenate([squares[:, 0], squares_back[:, 0]]) < max(REACH * spacing, LEAST_REACH) ** 2
-        near &= np.abs(cosines) > SAME_WAY
-        if near.sum() < max(LEAST_PAIRS, LEAST_SHARE * len(near)):
-            return None
-        off = (across * axes).sum(axis=1)
-        typical = typical_off(off[near], spacing)
-        weights = near / (1.0 + (off / (ROBUST * typical)) ** 2)
-        rows = np.concatenate([np.cross(at, axes), axes, (at * axes).sum(axis=1, keepdims=True)], axis=1)[:, free]
+    for number in range(STEPS):
+        met = _meet(math.exp(logarithm) * offsets, normals, target, centre, spacing)
+        alike = float(met.alike.mean())
+        if met.share < (least_share if number == STEPS - 1 else LEAST_SHARE) or met.alike.sum() < LEAST_PAIRS:
+            return None, alike
+        off = (met.across * met.axes).sum(axis=1)
+        typical = typical_off(off[met.alike], spacing)
+        weights = met.alike / (1.0 + (off / (ROBUST * typical)) ** 2)
+        turns = np.cross(met.at, met.axes)
+        rows = np.concatenate([turns, met.axes, (met.at * met.axes).sum(axis=1, keepdims=True)], axis=1)[:, free]
         hessian = (rows * weights[:, None]).T @ rows
         hessian += 1e-9 * np.trace(hessian) * np.eye(len(free))
         delta = np.zeros(7)
@@ -85,10 +124,27 @@ def estimate_scale(source: Surface, target: Surface, pose: Array, dimension: int
         normals = normals @ step[:3, :3].T
         logarithm += float(delta[6])
     scores = rows * (weights * (off - rows @ delta[free]))[:, None]
-    block = block_numbers(at, BLOCK)
+    block = block_numbers(met.at, BLOCK)
     sums = np.stack([np.bincount(block, weights=score) for score in scores.T], axis=1)
     inverse = np.linalg.inv(hessian)
     if weights.sum() * inverse[-1, -1] > LEAST_MOVED**-2.0:
-        return None
+        return None, alike
     deviation = math.sqrt(float((inverse @ (sums.T @ sums) @ inverse)[-1, -1]))
-    return Scale(math.exp(logarithm), deviation)
+    return Scale(math.exp(logarithm), deviation), alike
+
+
+def _meet(moved: Array, normals: Array, target: Surface, centre: Array, spacing: float) -> _Meeting:
+    """Of the source's points less `centre`, and their normals."""
+    fixed = target.points - centre
+    to, squares = target.index.query(moved + centre)
+    back, squares_back = NeighborIndex(moved).query(fixed)
+    to, back = to[:, 0], back[:, 0]
+    cosines = np.concatenate([(target.normals[to] * normals).sum(axis=1), (target.normals * normals[back]).sum(axis=1)])
+    near = np.concatenate([squares[:, 0], squares_back[:, 0]]) < max(REACH * spacing, LEAST_REACH) ** 2
+    return _Meeting(
+        np.concatenate([moved, moved[back]]),
+        np.concatenate([target.normals[to], normals[back]]),
+        np.concatenate([fixed[to] - moved, fixed - moved[back]]),
+        float(near.mean()),
+        near & (np.abs(cosines) > SAME_WAY),
+    )

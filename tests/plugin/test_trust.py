@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from outcomes import misjudged, noisy, outcome, twist
-from shapes import body_with_head, bumpy, move
+from shapes import body_with_head, bumpy, move, rectangle
 
 from adagmm_o3d import estimate_surface_covariances, register_points
 from adagmm_o3d.lie import se_exp
@@ -185,6 +185,41 @@ def test_another_size_is_said_with_its_factor():
     assert any("1.05" in warning and "different sizes" in warning for warning in result.warnings)
     # whichever comes first
     assert outcome(target, source, None)[2].scale == pytest.approx(1.0 / 1.05, abs=0.005)
+
+
+def shelf(rng):
+    """Thin boards with things on them: near their many edges normals face any way."""
+    boards = [((0, 0, 0.4 * k), (2.0, 0, 0), (0, 0.3, 0)) for k in range(4)]
+    boards += [((x, 0, 0), (0, 0.3, 0), (0, 0, 1.2)) for x in (0.0, 0.7, 2.0)]
+    for x, z, height in ((0.2, 0.0, 0.3), (1.0, 0.0, 0.2), (1.5, 0.4, 0.25), (0.3, 0.8, 0.3), (1.7, 0.8, 0.15)):
+        sides = ((0.15, 0, 0), (0, 0.15, 0), (0, 0, height))
+        for low in range(3):
+            edges = [sides[i] for i in range(3) if i != low]
+            corner = np.array([x, 0.05, z])
+            boards += [(corner, *edges), (corner + sides[low], *edges)]
+    return noisy(rng, np.concatenate([rectangle(rng, *board, density=250.0) for board in boards]))
+
+
+@pytest.mark.parametrize("factor", [1.05, 1.1, 1.3, 0.8])
+def test_sizes_that_differ_much_are_said_too(factor):
+    """They went unsaid where few points faced as those next to them did, or points lay beyond each other's reach."""
+    for seed in range(2):
+        rng = np.random.default_rng([seed, 21])
+        source, target = shelf(rng), factor * shelf(rng)
+        pose = np.eye(4)
+        pose[:3, 3] = target.mean(axis=0) - source.mean(axis=0) + 0.03
+        scale = estimate_scale(Surface(source, 3), Surface(target, 3), pose, 3)
+        assert scale.differs and scale.factor == pytest.approx(factor, rel=0.02)
+        assert outcome(source, target, None)[2].warnings
+
+
+@pytest.mark.parametrize("reach", [2.0, 1.5, 1.2])
+def test_parts_of_one_size_are_not_said_to_differ(reach):
+    for seed in range(3):
+        rng = np.random.default_rng([seed, 22])
+        source, target = shelf(rng), shelf(rng)
+        result = outcome(source[source[:, 0] < reach], target[target[:, 0] > 2.0 - reach], None)[2]
+        assert result.scale is None
 
 
 def test_a_mirror_image_is_said_to_be_one():

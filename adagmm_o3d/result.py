@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -82,7 +83,9 @@ class Verdict:
     one, else None.   over_image : by how much the pose explains the clouds better than the mirror image of the source
     does, where that was looked at; 0 where an image that does better says nothing.   mirrored : whether that fits so
     clearly better that it must be one.   repeats : whether slid along itself the shape fits as well, so that there are
-    several such poses; looked at where this one is believed.   belief : the probability that the pose is right.
+    several such poses; looked at where this one is believed.   tilt : by how much the clouds are tilted against each
+    other [rad], where gravity held the pose and they clearly are, else None.   belief : the probability that the pose
+    is right.
     """
 
     evidence: float
@@ -93,6 +96,7 @@ class Verdict:
     over_image: float | None = None
     mirrored: bool = False
     repeats: bool = False
+    tilt: float | None = None
     belief: float | None = None
 
 
@@ -280,6 +284,11 @@ def _objections(verdict: Verdict) -> list[str]:
             )
     if verdict.repeats:
         reasons.append("slid from here the clouds fit as well: a shape that repeats itself")
+    if verdict.tilt is not None:
+        reasons.append(
+            f"the clouds are tilted by {math.degrees(verdict.tilt):.0f}° against each other: they fit better if turned "
+            "otherwise than about gravity"
+        )
     if verdict.scale is not None:
         reasons.append(
             f"the clouds are of different sizes: the source fits if it is scaled by {verdict.scale:.3f} before"

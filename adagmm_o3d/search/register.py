@@ -193,7 +193,8 @@ def _by_posteriors(task: _Task) -> _Ended:
         assess = partial(uncertainty_out, *mixtures, refined.fit, normalisation, inverse=inverted)
         if method.gravity is not None:
             assess = partial(_assess_upright, assess, task.axis)
-        weigh = partial(_weigh, judge, outcome.pose if inverted == turned else inverse_of(outcome.pose), turned)
+        pose = outcome.pose if inverted == turned else inverse_of(outcome.pose)
+        weigh = partial(_weigh, judge, pose, turned, _gravity(task))
     if inverted:
         outcome, start = _inverse_outcome(outcome), inverse_of(start)
     return _Ended(start, outcome, weigh, assess, found.ambiguous, refined.fit)
@@ -224,8 +225,12 @@ def _by_the_papers_weights(task: _Task) -> _Ended:
     weigh: Callable[[], Verdict | None] = _none
     if outcome.stop_reason is not StopReason.NO_OVERLAP:
         judge = Deferred(partial(_judge_at_last, task.moving, task.fixed, task.seen_from))
-        weigh = partial(_weigh, judge, outcome.pose, False)
+        weigh = partial(_weigh, judge, outcome.pose, False, _gravity(task))
     return _Ended(start, outcome, weigh)
+
+
+def _gravity(task: _Task) -> Array | None:
+    return None if task.method.gravity is None else task.axis
 
 
 def _assess_upright(assess: Callable[[], PoseUncertainty], axis: Array) -> PoseUncertainty:
@@ -259,8 +264,8 @@ def _judge_at_last(moving: Mixture, fixed: Mixture, viewpoints: tuple[Array | No
     return _judge_of(Levels(*sides, SCHEDULE, ANY_AXIS), viewpoints)
 
 
-def _weigh(judge: Deferred[Judge], pose: Array, turned: bool) -> Verdict:
-    return verdict.weigh(judge(), pose, turned=turned)
+def _weigh(judge: Deferred[Judge], pose: Array, turned: bool, gravity: Array | None) -> Verdict:
+    return verdict.weigh(judge(), pose, turned=turned, gravity=gravity)
 
 
 def comes_second(source: Mixture, target: Mixture) -> bool:

@@ -51,7 +51,7 @@ class Scale:
         return off > max(NOTICED, SURE * self.deviation)
 
 
-class _Meeting(NamedTuple):
+class Meeting(NamedTuple):
     """Points where either cloud meets the other, both ways: a point of the source by the target's normal, and one of
     the target by the source's, rows `across` along `axes` from the points `at` of the source, (m, 3).
 
@@ -63,6 +63,16 @@ class _Meeting(NamedTuple):
     across: Array
     share: float
     alike: NDArray[np.bool_]
+
+    def residuals(self, spacing: float) -> tuple[Array, Array]:
+        """(m,) how far points are off their partners' surfaces, and what that weighs."""
+        off = (self.across * self.axes).sum(axis=1)
+        typical = typical_off(off[self.alike], spacing)
+        return off, self.alike / (1.0 + (off / (ROBUST * typical)) ** 2)
+
+    def motions(self) -> Array:
+        """(m, 6) how far a unit of each motion (ω, v) takes the points along the axes."""
+        return np.concatenate([np.cross(self.at, self.axes), self.axes], axis=1)
 
 
 def estimate_scale(source: Surface, target: Surface, pose: Array, dimension: int) -> Scale | None:
@@ -106,15 +116,12 @@ def _refined(
     offsets, normals = (source.points - about) @ pose[:3, :3].T, source.normals @ pose[:3, :3].T
     free = [*FREE[dimension], 6]
     for number in range(STEPS):
-        met = _meet(math.exp(logarithm) * offsets, normals, target, centre, spacing)
+        met = meet(math.exp(logarithm) * offsets, normals, target, centre, spacing)
         alike = float(met.alike.mean())
         if met.share < (least_share if number == STEPS - 1 else LEAST_SHARE) or met.alike.sum() < LEAST_PAIRS:
             return None, alike
-        off = (met.across * met.axes).sum(axis=1)
-        typical = typical_off(off[met.alike], spacing)
-        weights = met.alike / (1.0 + (off / (ROBUST * typical)) ** 2)
-        turns = np.cross(met.at, met.axes)
-        rows = np.concatenate([turns, met.axes, (met.at * met.axes).sum(axis=1, keepdims=True)], axis=1)[:, free]
+        off, weights = met.residuals(spacing)
+        rows = np.concatenate([met.motions(), (met.at * met.axes).sum(axis=1, keepdims=True)], axis=1)[:, free]
         hessian = (rows * weights[:, None]).T @ rows
         hessian += 1e-9 * np.trace(hessian) * np.eye(len(free))
         delta = np.zeros(7)
@@ -123,17 +130,23 @@ def _refined(
         offsets = offsets @ step[:3, :3].T + math.exp(-logarithm) * step[:3, 3]
         normals = normals @ step[:3, :3].T
         logarithm += float(delta[6])
-    scores = rows * (weights * (off - rows @ delta[free]))[:, None]
-    block = block_numbers(met.at, BLOCK)
-    sums = np.stack([np.bincount(block, weights=score) for score in scores.T], axis=1)
     inverse = np.linalg.inv(hessian)
     if weights.sum() * inverse[-1, -1] > LEAST_MOVED**-2.0:
         return None, alike
-    deviation = math.sqrt(float((inverse @ (sums.T @ sums) @ inverse)[-1, -1]))
-    return Scale(math.exp(logarithm), deviation), alike
+    covariance = blockwise_covariance(inverse, rows * (weights * (off - rows @ delta[free]))[:, None], met.at)
+    return Scale(math.exp(logarithm), math.sqrt(float(covariance[-1, -1]))), alike
 
 
-def _meet(moved: Array, normals: Array, target: Surface, centre: Array, spacing: float) -> _Meeting:
+def blockwise_covariance(inverse: Array, scores: Array, at: Array) -> Array:
+    """(k, k) of the end of Gauss-Newton steps, by the inverse Hessian (k, k) and the scores (m, k) of points (m, 3):
+    what is off in one block is off as one."""
+    block = block_numbers(at, BLOCK)
+    sums = np.stack([np.bincount(block, weights=score) for score in scores.T], axis=1)
+    covariance: Array = inverse @ (sums.T @ sums) @ inverse
+    return covariance
+
+
+def meet(moved: Array, normals: Array, target: Surface, centre: Array, spacing: float) -> Meeting:
     """Of the source's points less `centre`, and their normals."""
     fixed = target.points - centre
     to, squares = target.index.query(moved + centre)
@@ -141,7 +154,7 @@ def _meet(moved: Array, normals: Array, target: Surface, centre: Array, spacing:
     to, back = to[:, 0], back[:, 0]
     cosines = np.concatenate([(target.normals[to] * normals).sum(axis=1), (target.normals * normals[back]).sum(axis=1)])
     near = np.concatenate([squares[:, 0], squares_back[:, 0]]) < max(REACH * spacing, LEAST_REACH) ** 2
-    return _Meeting(
+    return Meeting(
         np.concatenate([moved, moved[back]]),
         np.concatenate([target.normals[to], normals[back]]),
         np.concatenate([fixed[to] - moved, fixed - moved[back]]),

@@ -28,6 +28,7 @@ from adagmm_o3d.trust.mirror import REFLECTION, MirrorImage, fit_mirror_image
 from adagmm_o3d.trust.repetition import repeats_itself
 from adagmm_o3d.trust.rivals import margin_over_turned
 from adagmm_o3d.trust.scale import estimate_scale
+from adagmm_o3d.trust.tilt import estimate_tilt
 
 # The mirror image of the source must be one where it explains the clouds better by so much [nats per point], where so
 # much more of both agrees, of so many points (of fewer by more, as chance grows with the root of it), and where that is
@@ -46,9 +47,9 @@ WEIGHTS, CONSTANT = (9.8, 5.4, 9.2, 2.8), 0.1
 LOOKED_AT = LEAST_BELIEF
 
 
-def weigh(judge: Judge, pose: Array, *, turned: bool) -> Verdict:
+def weigh(judge: Judge, pose: Array, *, turned: bool, gravity: Array | None = None) -> Verdict:
     """What speaks for a pose (4, 4) between the judge's normalised mixtures; `turned` says that their places are
-    changed."""
+    changed, `gravity` (3,) is the axis that held the pose, if one did."""
     evidence, sides = judge.confidence(pose), judge.sides
     if judge.too_few:
         return Verdict(evidence)
@@ -58,6 +59,8 @@ def weigh(judge: Judge, pose: Array, *, turned: bool) -> Verdict:
     scale = estimate_scale(source, target, pose, sides[0].dimension)
     if scale is not None and scale.differs:
         verdict = replace(verdict, scale=1.0 / scale.factor if turned else scale.factor)
+    if gravity is not None:
+        verdict = replace(verdict, tilt=estimate_tilt(source, target, pose, gravity))
     if believe(signs(verdict)) >= LOOKED_AT:
         verdict = replace(verdict, margin=margin_over_turned(judge, pose, agreed.held))
     if believe(signs(verdict)) >= LOOKED_AT:

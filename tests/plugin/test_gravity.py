@@ -73,6 +73,24 @@ def test_what_tilts_a_cloud_does_not_tilt_the_pose(count):
     assert pose_errors(T, held.transformation).rotation_deg < 1.0
 
 
+@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize("tilted, said", [(0.0, False), (0.02, False), (0.12, True), (0.25, True)])
+def test_clouds_that_are_tilted_against_each_other_are_said_to_be(axis, tilted, said):
+    """They went unsaid, with a belief of nearly one."""
+    source, target, _ = pair(axis, 2000, tilted=tilted)
+    for clouds in ((source, target), (target, source)):
+        warnings = register_points(*clouds, estimation_method=upright(axis)).warnings
+        assert any("tilted by" in warning for warning in warnings) == said, warnings
+
+
+def test_an_axis_that_is_not_gravity_is_said_too():
+    source, target, _ = pair((0.0, 0.0, 1.0), 2000)
+    near = move(source, upright_pose((0.0, 0.0, 1.0), 0.3, (0.2, -0.1, 0.15)))
+    for cloud, said in ((near, "tilted by 1"), (source, "")):  # the second is so far off that it is no pose at all
+        warnings = register_points(cloud, target, estimation_method=upright((0.0, 1.0, 0.0))).warnings
+        assert any(said in warning for warning in warnings)
+
+
 def test_every_door_keeps_gravity():
     axis = (0.0, 0.0, 1.0)
     source, target, T = pair(axis, 2000)

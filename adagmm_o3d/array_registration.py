@@ -50,9 +50,9 @@ def register_points(
         `prepare` made of one, with its covariances, to register it with many others.
     source_covariances, target_covariances : (M, D, D) and (N, D, D), symmetric positive semidefinite; only their
         relative size matters, over both clouds. None stands for the identity at every point; a cloud in place of an
-        array gets `estimate_surface_covariances`. Singular ones, like those that Open3D estimates on flat faces, are
-        given the thickness of a surface and counted, see `make_mixture`. A point whose covariance is not finite is
-        ignored and counted; more than 1 % of them is an error.
+        array gets `estimate_surface_covariances`, as large as the other's where that has its own. Singular ones, like
+        those that Open3D estimates on flat faces, are given the thickness of a surface and counted, see
+        `make_mixture`. A point whose covariance is not finite is ignored and counted; more than 1 % is an error.
     init : (D+1, D+1) rigid transformation source → target; a rotation written with few digits is made exact. It is
         refined nearby, and competes with what common centroids, starts around them and, in space, local features
         propose: it wins where it explains the clouds as well as the halves of one cloud explain each other, or where
@@ -92,6 +92,7 @@ def register_points(
     make_mixture = mixture_maker(device, *(c.points if isinstance(c, PreparedCloud) else c for c in (source, target)))
     moving = _mixture("source", source, source_covariances, make_mixture)
     fixed = _mixture("target", target, target_covariances, make_mixture)
+    moving, fixed = _on_one_scale(source, target, moving, fixed, make_mixture)
     if moving.dimension != fixed.dimension:
         raise InputError(
             f"target.points: expected shape (n, {moving.dimension}) as the source has, got (n, {fixed.dimension})"
@@ -114,6 +115,16 @@ def _mixture(
     if covariances is not None:
         raise InputError(f"{name}_covariances: {name} was prepared with its covariances; give them to prepare()")
     return cloud.mixture(name, make)
+
+
+def _on_one_scale(source: Any, target: Any, moving: Mixture, fixed: Mixture, make: Callable[..., Mixture]) -> Any:
+    """Both mixtures; those of a cloud's surface have no unit, and become as large as what came with the other cloud."""
+    clouds = all(isinstance(side, PreparedCloud) and side.kind != "array" for side in (source, target))
+    if clouds and source.given and not target.given:
+        return moving, target.mixture_as_vague_as("target", make, moving)
+    if clouds and target.given and not source.given:
+        return source.mixture_as_vague_as("source", make, fixed), fixed
+    return moving, fixed
 
 
 def checked_viewpoints(

@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable
 from typing import Any, Generic, Literal, TypeVar
 
+import numpy as np
+
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.lazy_open3d import o3d
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.result import Deferred
 
 Cloud = TypeVar("Cloud")
+# Covariances whose sizes differ by less are as large as each other.
+ALIKE = 0.1
 Kind = Literal["array", "legacy", "tensor"]
 
 
@@ -24,13 +28,20 @@ class PreparedCloud(Generic[Cloud]):
     ----------
     kind : the door it is for.   cloud : what evaluates the pose, thinned already.   arrays : points (n, D) and
     covariances (n, D, D) or None, worked out when they are first asked for.   voxel_size, epsilon : what it was thinned
-    and thickened with, see `prepare`.
+    and thickened with, see `prepare`.   given : whether the covariances came with the cloud.
     """
 
     def __init__(
-        self, kind: Kind, cloud: Cloud, arrays: Deferred[tuple[Any, Any]], voxel_size: float, epsilon: float
+        self,
+        kind: Kind,
+        cloud: Cloud,
+        arrays: Deferred[tuple[Any, Any]],
+        voxel_size: float,
+        epsilon: float,
+        *,
+        given: bool,
     ) -> None:
-        self.kind, self.voxel_size, self.epsilon = kind, voxel_size, epsilon
+        self.kind, self.voxel_size, self.epsilon, self.given = kind, voxel_size, epsilon, given
         self.cloud: Any = cloud
         self._arrays = arrays
         self._mixtures: dict[Hashable, Mixture] = {}
@@ -43,6 +54,15 @@ class PreparedCloud(Generic[Cloud]):
     def mixture(self, name: str, make: Callable[..., Mixture]) -> Mixture:
         """What `make` makes of the points and covariances, once; `name` is what an error calls the cloud."""
         return self.kept_mixture(make, lambda: make(name, *self._arrays()))
+
+    def mixture_as_vague_as(self, name: str, make: Callable[..., Mixture], other: Mixture) -> Mixture:
+        """The same with covariances as large as those of another mixture: what stands in for them has no unit."""
+        points, covariances = self._arrays()
+        own = self.mixture(name, make)
+        factor = float(np.median(other.variances) / np.median(own.variances))
+        if covariances is None or abs(factor - 1.0) < ALIKE:
+            return own
+        return make(name, points, factor * covariances)
 
     def kept_mixture(self, key: Hashable, make: Callable[[], Mixture]) -> Mixture:
         """What `make` makes, once for each `key`; of what two threads make at once, which is the same, one is kept."""

@@ -80,6 +80,8 @@ def prepare(
     if voxel_size > 0.0:
         raise InputError("voxel_size: expected a cloud of Open3D's to thin, got an array")
     arrays = copy.deepcopy((cloud, covariances))
-    points = PreparedCloud("array", arrays[0], Deferred(lambda: arrays), voxel_size, epsilon)
+    points = PreparedCloud(
+        "array", arrays[0], Deferred(lambda: arrays), voxel_size, epsilon, given=covariances is not None
+    )
     points.mixture("cloud", make_mixture)
     return points

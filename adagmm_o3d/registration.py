@@ -90,9 +90,9 @@ def registration_adaptive_gmm(
     ----------
     source, target : (M,) and (N,) point clouds of one kind, float32 or float64, at least three points each. Covariances
         come from `PointCloud.covariances` or `point.covariances`; only their relative size matters. A cloud without any
-        gets those of its surface (`estimate_surface_covariances`): along its normals where it has any, as in Open3D's
-        GICP, or else from each point's nearest neighbours, for which it takes four points. Or what `prepare` made of
-        one, to register it with many others.
+        gets those of its surface (`estimate_surface_covariances`), as large as the other's own: along its normals where
+        it has any, as in Open3D's GICP, or else from each point's nearest neighbours, for which it takes four points.
+        Or what `prepare` made of one, to register it with many others.
     max_correspondence_distance : [input units] > 0, infinity for no limit. The method chooses no correspondences;
         within this distance `fitness`, `inlier_rmse` and `correspondence_set` count them, as Open3D's
         `evaluate_registration` does.
@@ -246,10 +246,11 @@ def ready_legacy(
     name: str, cloud: o3d.geometry.PointCloud, voxel_size: float, epsilon: float
 ) -> PreparedCloud[o3d.geometry.PointCloud]:
     """A legacy cloud ready to be registered, thinned where `voxel_size` is above zero; without a copy where not."""
+    given = cloud.has_covariances()
     if voxel_size > 0.0:
         cloud = _thinned(name, cloud, voxel_size, epsilon)
     arrays = np.asarray(cloud.points), legacy_covariances(name, cloud, epsilon)
-    return PreparedCloud("legacy", cloud, Deferred(lambda: arrays), voxel_size, epsilon)
+    return PreparedCloud("legacy", cloud, Deferred(lambda: arrays), voxel_size, epsilon, given=given)
 
 
 def _thinned(name: str, cloud: o3d.geometry.PointCloud, voxel_size: float, thickness: float) -> o3d.geometry.PointCloud:

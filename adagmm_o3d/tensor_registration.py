@@ -107,7 +107,7 @@ def ready_tensor(name: str, cloud: TensorCloud, voxel_size: float) -> PreparedCl
     _check_positions(name, cloud)
     ready = _thinned(name, cloud, voxel_size) if voxel_size > 0.0 else cloud
     arrays = Deferred(lambda: (ready.point.positions.cpu().numpy(), _covariances(name, ready)))
-    return PreparedCloud("tensor", ready, arrays, voxel_size, EPSILON)
+    return PreparedCloud("tensor", ready, arrays, voxel_size, EPSILON, given="covariances" in cloud.point)
 
 
 def _evaluated(

@@ -3,9 +3,12 @@
 import numpy as np
 import open3d as o3d
 import pytest
+from shapes import bumpy, move
 from shared_data import shared_data
 
-from adagmm_o3d import estimate_surface_covariances, register_points, registration_adaptive_gmm
+from adagmm_o3d import estimate_surface_covariances, prepare, register_points, registration_adaptive_gmm
+from adagmm_o3d.evaluation import pose_errors
+from adagmm_o3d.lie import se_exp
 
 core = o3d.core
 
@@ -60,3 +63,30 @@ def test_dense_clouds_are_the_same_by_every_door(name):
     tensor = [o3d.t.geometry.PointCloud(core.Tensor(np.ascontiguousarray(p))) for p in points]
     assert_same(registration_adaptive_gmm(*legacy, 0.1).transformation, expected)
     assert_same(registration_adaptive_gmm(*tensor, 0.1).transformation.numpy(), expected)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1000.0])
+@pytest.mark.parametrize("which", ["source", "target"])
+def test_covariances_of_one_cloud_alone_count_as_those_of_both(unit, which):
+    """They were taken beside surfaces without a unit: in millimetres nothing overlapped."""
+    rng = np.random.default_rng(5)
+    T = se_exp(np.array([0.05, -0.04, 0.1, 0.1 * unit, 0.05 * unit, 0.0]))
+    points = unit * bumpy(rng, 3000, 3)
+    clouds = {"source": points[:1500], "target": move(points[1500:], T)}
+    legacy = {
+        name: o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.copy())) for name, points in clouds.items()
+    }
+    legacy[which].estimate_covariances()
+    covariances = np.asarray(legacy[which].covariances).copy()
+    tensor = {name: o3d.t.geometry.PointCloud.from_legacy(cloud) for name, cloud in legacy.items()}
+    tensor[which].point.covariances = o3d.core.Tensor(covariances)
+    results = [registration_adaptive_gmm(*pair.values(), 0.1 * unit, np.eye(4)) for pair in (legacy, tensor)]
+    prepared = [prepare(cloud) for cloud in legacy.values()]
+    results.append(registration_adaptive_gmm(*prepared, 0.1 * unit, np.eye(4)))
+    found = [results[0].transformation, results[1].transformation.numpy(), results[2].transformation]
+    for pose in found:
+        errors = pose_errors(T, pose)
+        assert errors.rotation_deg < 1.0 and errors.translation < 0.01 * unit
+    for result in results:
+        assert result.details.overlap > 0.9 and not result.details.unobservable
+    np.testing.assert_array_equal(found[0], found[2])

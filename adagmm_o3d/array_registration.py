@@ -56,8 +56,8 @@ def register_points(
     init : (D+1, D+1) rigid transformation source → target; a rotation written with few digits is made exact. It is
         refined nearby, and competes with what common centroids, starts around them and, in space, local features
         propose: it wins where what is near it holds no less than what explains most, or explains the clouds as well as
-        the halves of one cloud explain each other, or where none of the others does clearly better. None stands for the identity. "global": nothing is known of the pose,
-        and where features find none all rotations are tried.
+        the halves of one cloud explain each other, or where none of the others does clearly better. None stands for
+        the identity. "global": nothing is known of the pose, and where features find none all rotations are tried.
     estimation_method : the options; None, or one of Open3D's own, for the defaults.
     criteria : `Criteria`, or Open3D's ICPConvergenceCriteria; `relative_rmse` bounds the last step, `max_iteration`
         the iterations reported; with 0 of them `init`, or the identity, is the result. None, or

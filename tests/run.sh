@@ -26,5 +26,5 @@ export OMP_WAIT_POLICY=passive
 .venv/bin/ruff check .
 .venv/bin/ruff format --check .
 .venv/bin/mypy
-# A file's tests share what they have prepared, so a file stays in one process.
-.venv/bin/python -m pytest --numprocesses logical --maxprocesses 4 --dist loadfile "${chosen[@]}" "$@"
+# A file's tests share what they have prepared, so a file stays in one process; in their order, as the slow ones are not last.
+.venv/bin/python -m pytest --numprocesses logical --maxprocesses 4 --dist loadfile --no-loadscope-reorder "${chosen[@]}" "$@"

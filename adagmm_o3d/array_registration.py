@@ -117,14 +117,21 @@ def _mixture(
     return cloud.mixture(name, make)
 
 
-def _on_one_scale(source: Any, target: Any, moving: Mixture, fixed: Mixture, make: Callable[..., Mixture]) -> Any:
+def _on_one_scale(
+    source: ArrayLike | PreparedCloud[Any],
+    target: ArrayLike | PreparedCloud[Any],
+    moving: Mixture,
+    fixed: Mixture,
+    make: Callable[..., Mixture],
+) -> tuple[Mixture, Mixture]:
     """Both mixtures; those of a cloud's surface have no unit, and become as large as what came with the other cloud."""
-    clouds = all(isinstance(side, PreparedCloud) and side.kind != "array" for side in (source, target))
-    if clouds and source.given and not target.given:
+    if not (isinstance(source, PreparedCloud) and isinstance(target, PreparedCloud)) or source.given == target.given:
+        return moving, fixed
+    if "array" in (source.kind, target.kind):
+        return moving, fixed
+    if source.given:
         return moving, target.mixture_as_vague_as("target", make, moving)
-    if clouds and target.given and not source.given:
-        return source.mixture_as_vague_as("source", make, fixed), fixed
-    return moving, fixed
+    return source.mixture_as_vague_as("source", make, fixed), fixed
 
 
 def checked_viewpoints(

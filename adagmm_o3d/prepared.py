@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable
 from typing import Any, Generic, Literal, TypeVar
 
-import numpy as np
-
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.lazy_open3d import o3d
 from adagmm_o3d.mixtures.mixture import Mixture
+from adagmm_o3d.mixtures.normalisation import GOOD_SHARE
+from adagmm_o3d.mixtures.sampling import quantile
 from adagmm_o3d.result import Deferred
 
 Cloud = TypeVar("Cloud")
@@ -59,7 +59,7 @@ class PreparedCloud(Generic[Cloud]):
         """The same with covariances as large as those of another mixture: what stands in for them has no unit."""
         points, covariances = self._arrays()
         own = self.mixture(name, make)
-        factor = float(np.median(other.variances) / np.median(own.variances))
+        factor = float(quantile(other.variances, GOOD_SHARE) / quantile(own.variances, GOOD_SHARE))
         if covariances is None or abs(factor - 1.0) < ALIKE:
             return own
         return make(name, points, factor * covariances)

@@ -90,3 +90,20 @@ def test_covariances_of_one_cloud_alone_count_as_those_of_both(unit, which):
     for result in results:
         assert result.details.overlap > 0.9 and not result.details.unobservable
     np.testing.assert_array_equal(found[0], found[2])
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_flags_of_most_points_of_one_cloud_do_not_make_the_other_vague(swapped):
+    """What is as large as the other's covariances goes by the good points, of which there may be few."""
+    rng = np.random.default_rng(6)
+    T = se_exp(np.array([0.05, -0.04, 0.1, 0.1, 0.05, 0.0]))
+    points = bumpy(rng, 3000, 3)
+    strangers = rng.uniform(-1.5, 1.5, (2500, 3))
+    covariances = np.concatenate([estimate_surface_covariances(points[:1500]), np.tile(1e4 * np.eye(3), (2500, 1, 1))])
+    flagged = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.concatenate([points[:1500], strangers])))
+    flagged.covariances = o3d.utility.Matrix3dVector(1e-3 * covariances)
+    plain = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(move(points[1500:], T)))
+    pair = (plain, flagged) if swapped else (flagged, plain)
+    pose = registration_adaptive_gmm(*pair, 0.1, np.eye(4)).transformation
+    errors = pose_errors(np.linalg.inv(T) if swapped else T, pose)
+    assert errors.rotation_deg < 1.0 and errors.translation < 0.01

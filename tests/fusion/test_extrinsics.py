@@ -38,27 +38,15 @@ def frame_at(pose, name="frame"):
 FRAMES = [frame_at(pose) for pose in POSES]
 
 
-def millimetres(T):
+def multiplied(T, by):
     T = T.copy()
-    T[:3, 3] *= 1000.0
+    T[:3, 3] *= by
     return T
 
 
 def transposed(T):
     T = T.copy()
     T[:3, :3] = T[:3, :3].T
-    return T
-
-
-def centimetres(T):
-    T = T.copy()
-    T[:3, 3] *= 100.0
-    return T
-
-
-def the_other_way(T):
-    T = T.copy()
-    T[:3, 3] *= -1.0
     return T
 
 
@@ -75,10 +63,10 @@ MISTAKES = {
     AS_GIVEN: lambda T: T,
     "the inverse": se_inverse,
     "with its rotation transposed": transposed,
-    "in millimetres": millimetres,
-    "the inverse, in millimetres": lambda T: millimetres(se_inverse(T)),
-    "in centimetres": centimetres,
-    "with its translation the other way": the_other_way,
+    "in millimetres": lambda T: multiplied(T, 1000.0),
+    "the inverse, in millimetres": lambda T: multiplied(se_inverse(T), 1000.0),
+    "in centimetres": lambda T: multiplied(T, 100.0),
+    "with its translation the other way": lambda T: multiplied(T, -1.0),
     "with w first in its quaternion": w_first,
     "the inverse, with w first in its quaternion": lambda T: w_first(se_inverse(T)),
     "of a camera with y up and z backward": lambda T: T @ OPENGL,

@@ -32,22 +32,11 @@ def _transposed(T: np.ndarray) -> np.ndarray:
     return turned
 
 
-def _from_millimetres(T: np.ndarray) -> np.ndarray:
+def _divided(T: np.ndarray, by: float) -> np.ndarray:
+    """With its translation divided."""
     scaled = T.copy()
-    scaled[:3, 3] /= 1000.0
+    scaled[:3, 3] /= by
     return scaled
-
-
-def _from_centimetres(T: np.ndarray) -> np.ndarray:
-    scaled = T.copy()
-    scaled[:3, 3] /= 100.0
-    return scaled
-
-
-def _the_other_way(T: np.ndarray) -> np.ndarray:
-    moved = T.copy()
-    moved[:3, 3] *= -1.0
-    return moved
 
 
 def _w_first(T: np.ndarray) -> np.ndarray:
@@ -67,10 +56,10 @@ READINGS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     AS_GIVEN: _same,
     "the inverse": se_inverse,
     "with its rotation transposed": _transposed,
-    "in millimetres": _from_millimetres,
-    "the inverse, in millimetres": lambda T: se_inverse(_from_millimetres(T)),
-    "in centimetres": _from_centimetres,
-    "with its translation the other way": _the_other_way,
+    "in millimetres": lambda T: _divided(T, 1000.0),
+    "the inverse, in millimetres": lambda T: se_inverse(_divided(T, 1000.0)),
+    "in centimetres": lambda T: _divided(T, 100.0),
+    "with its translation the other way": lambda T: _divided(T, -1.0),
     "with w first in its quaternion": _w_first,
     "the inverse, with w first in its quaternion": lambda T: se_inverse(_w_first(T)),
     "of a camera with y up and z backward": lambda T: T @ OPENGL,

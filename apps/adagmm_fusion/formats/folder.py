@@ -9,10 +9,10 @@
     poses/, trajectory.txt ...       optional; see pose_lists.py
 
 Whole numbers of depth are millimetres and others metres, or millimetres too where metres would be beyond any camera's
-reach, unless a calibration says depth_scale or depth_units. Depth of
-another size, or of another camera whose calibration is there, is brought onto the colour image. Poses are camera to
-world or world to camera, as their file's name says, else as the depth images agree better. A rig file replaces the
-intrinsics; one with the sensors `color` and `depth` calibrates both cameras.
+reach, unless a calibration says depth_scale or depth_units. Depth of another size, or of another camera whose
+calibration is there, is brought onto the colour image. Poses are camera to world or world to camera, as their file's
+name says, else as the depth images agree better. A rig file replaces the intrinsics; one with the sensors `color` and
+`depth` calibrates both cameras.
 """
 
 from dataclasses import replace
@@ -35,6 +35,7 @@ NAME = "folder"
 SUMMARY = "any folder of colour and depth images with intrinsics"
 SENSOR = "camera"
 MILLIMETRES_PER_METRE = 1000.0
+# No depth camera sees so far.
 FAR_M = 100.0
 # Pairs that are looked at to find which way round the poses are.
 PAIRS = 3

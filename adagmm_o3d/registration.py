@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from adagmm_o3d.arguments import Array, distance_limit, real_number
 from adagmm_o3d.array_registration import register_points
 from adagmm_o3d.errors import InputError, InputTypeError
+from adagmm_o3d.evaluation import evaluate_registration
 from adagmm_o3d.kernels.limits import EPSILON
 from adagmm_o3d.lazy_open3d import o3d
 from adagmm_o3d.options import (
@@ -180,16 +181,16 @@ def registration_adaptive_gmm(
         target_colors=_colors("target", fixed.cloud) if method.color else None,
         callback_after_iteration=callback_after_iteration,
     )
-    evaluated = o3d.pipelines.registration.evaluate_registration(
-        moving.cloud, fixed.cloud, distance, details.transformation
-    )
+    # Open3D's own adds up, and lists the pairs, in whatever order its threads end.
+    points = np.asarray(moving.cloud.points), np.asarray(fixed.cloud.points)
+    evaluated = evaluate_registration(*points, distance, details.transformation)
     from adagmm_o3d.open3d_results import RegistrationResult
 
     result = RegistrationResult()
     result.transformation = details.transformation
     result.fitness = evaluated.fitness
     result.inlier_rmse = evaluated.inlier_rmse
-    result.correspondence_set = evaluated.correspondence_set
+    result.correspondence_set = o3d.utility.Vector2iVector(evaluated.correspondence_set)
     result.details = details
     return result
 

@@ -116,15 +116,21 @@ def _evaluated(
     """Open3D's `evaluate_registration`, which without a limit would look at every pair of points."""
     # Only the positions count; what else a cloud has Open3D would move as well, which it refuses for whole numbers.
     source, target = TensorCloud(source.point.positions), TensorCloud(target.point.positions)
-    if distance < math.inf:
-        return o3d.t.pipelines.registration.evaluate_registration(source, target, distance, transformation)
     moved = source.clone().transform(transformation).point.positions
-    index = o3d.core.nns.NearestNeighborSearch(target.point.positions)
-    index.knn_index()
-    nearest, squares = index.knn_search(moved, 1)
-    result = o3d.t.pipelines.registration.RegistrationResult()
-    result.fitness, result.inlier_rmse = 1.0, math.sqrt(squares.to(o3d.core.float64).mean().item())
-    result.correspondence_set = nearest.to(o3d.core.int64)
+    if distance < math.inf:
+        result = o3d.t.pipelines.registration.evaluate_registration(source, target, distance, transformation)
+    else:
+        index = o3d.core.nns.NearestNeighborSearch(target.point.positions)
+        index.knn_index()
+        nearest, _ = index.knn_search(moved, 1)
+        result = o3d.t.pipelines.registration.RegistrationResult()
+        result.fitness, result.correspondence_set = 1.0, nearest.to(o3d.core.int64)
+    # Open3D adds up in an order that depends on the number of threads.
+    partners = result.correspondence_set.cpu().numpy().ravel()
+    paired = np.flatnonzero(partners >= 0)
+    moved, fixed = (cloud.cpu().numpy().astype(float) for cloud in (moved, target.point.positions))
+    squares = np.sum((moved[paired] - fixed[partners[paired]]) ** 2, axis=1)
+    result.inlier_rmse = math.sqrt(squares.mean()) if len(paired) else 0.0
     return result
 
 

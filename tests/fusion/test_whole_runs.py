@@ -64,10 +64,6 @@ def test_nothing_warns_and_all_is_ascii(finished, threads):
 def test_the_bits_do_not_depend_on_the_threads(finished):
     one, two = (pairs(finished[threads][0]) for threads in (1, 2))
     assert len(one) == 3 and [pair["T_target_source"] for pair in one] == [pair["T_target_source"] for pair in two]
-    for first, second in zip(one, two, strict=True):
-        # A mean over the partners, whose last digit goes with where the numbers lie in memory.
-        rmse = first.pop("inlier_rmse_mm"), second.pop("inlier_rmse_mm")
-        assert rmse[0] == pytest.approx(rmse[1], rel=1e-12, abs=0)
     assert one == two
     for name in ("000000_right_to_left", "000001_right_to_left", "000002_right_to_left"):
         ply = [(finished[threads][0] / "fused" / f"{name}.ply").read_bytes() for threads in (1, 2)]

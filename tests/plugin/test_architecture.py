@@ -14,9 +14,9 @@ ROOT = Path(__file__).parents[2]
 ROWS = (
     ("__init__",),
     ("batch", "multi_scale", "preparing", "warm_up"),
-    ("registration", "evaluation"),
+    ("registration",),
     ("tensor_registration",),
-    ("array_registration", "open3d_results"),
+    ("array_registration", "evaluation", "open3d_results"),
     ("prepared",),
     ("search",),
     ("trust",),

@@ -78,8 +78,9 @@ def test_the_result_is_open3ds_and_counts_as_open3d_does(pair):
         theirs.transformation.device,
     )
     assert result.fitness == expected.fitness
-    # Open3D's threads add up in no fixed order
-    np.testing.assert_allclose(result.inlier_rmse, expected.inlier_rmse, rtol=1e-12, atol=0)
+    # Open3D adds up in the points' own type, and its threads in no fixed order.
+    rounding = 1e-12 if pair.source.point.positions.dtype == core.float64 else 1e-6
+    np.testing.assert_allclose(result.inlier_rmse, expected.inlier_rmse, rtol=rounding, atol=0)
     np.testing.assert_array_equal(result.correspondence_set.numpy(), expected.correspondence_set.numpy())
     assert result.converged is True and result.num_iterations == result.details.iterations > 0
     errors = pose_errors(pair.T, result.transformation.numpy())

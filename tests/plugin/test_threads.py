@@ -45,7 +45,8 @@ def bits(_=None):
 def cloud_bits(_=None):
     clouds = [o3d.geometry.PointCloud(o3d.utility.Vector3dVector(p)) for p in (source, target)]
     result = adagmm_o3d.registration_adaptive_gmm(*clouds, 0.1)
-    return result.transformation.tobytes() + np.asarray(result.correspondence_set).tobytes()
+    counted = np.array([result.fitness, result.inlier_rmse])
+    return result.transformation.tobytes() + np.asarray(result.correspondence_set).tobytes() + counted.tobytes()
 """
 
 

@@ -18,7 +18,7 @@ from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.recordings.frame_sequence import Recording
 from adagmm_o3d import registration_adaptive_gmm
 from adagmm_o3d.errors import AdaGMMError
-from adagmm_o3d.evaluation import PoseErrors, overlap_ratio, pose_errors
+from adagmm_o3d.evaluation import PoseErrors, evaluate_registration, overlap_ratio, pose_errors
 from adagmm_o3d.options import DeviceName, TransformationEstimationForAdaptiveGMM
 from adagmm_o3d.result import PointRegistrationResult
 from adagmm_o3d.warm_up import warm_up
@@ -196,15 +196,15 @@ def _evaluate(
     distance: float,
     T_truth: np.ndarray | None,
 ) -> Evaluation:
+    points = np.asarray(source.points), np.asarray(target.points)
     known: dict[str, Any] = {}
     if T_truth is not None:
-        points = np.asarray(source.points), np.asarray(target.points)
         known = {
             "overlap_truth": overlap_ratio(*points, T_truth, distance),
             "initial_errors": pose_errors(T_truth, np.eye(4)),
             "errors": pose_errors(T_truth, T_target_source),
         }
-    found = o3d.pipelines.registration.evaluate_registration(source, target, distance, T_target_source)
+    found = evaluate_registration(*points, distance, T_target_source)
     return Evaluation(distance, found.fitness, found.inlier_rmse, **known)
 
 

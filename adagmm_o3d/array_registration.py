@@ -46,7 +46,8 @@ def register_points(
 
     Parameters
     ----------
-    source, target : (M, D) and (N, D), D = 2 or 3, any real dtype, any unit; at least three points each. Or what
+    source, target : (M, D) and (N, D), D = 2 or 3, any real dtype, any unit; at least three points each. Those that
+        are not finite, as organised clouds have them where nothing was measured, are ignored and counted. Or what
         `prepare` made of one, with its covariances, to register it with many others.
     source_covariances, target_covariances : (M, D, D) and (N, D, D), symmetric positive semidefinite; only their
         relative size matters, over both clouds. None stands for the identity at every point; a cloud in place of an
@@ -97,8 +98,8 @@ def register_points(
         raise InputError(
             f"target.points: expected shape (n, {moving.dimension}) as the source has, got (n, {fixed.dimension})"
         )
-    counts = len(moving.kept), len(fixed.kept)
-    if (colors := checked_colors(source_colors, target_colors, counts, needed=method.color)) is not None:
+    kept = moving.kept, fixed.kept
+    if (colors := checked_colors(source_colors, target_colors, kept, needed=method.color)) is not None:
         moving, fixed = moving.coloured(colors[0]), fixed.coloured(colors[1])
     viewpoints = checked_viewpoints(source_viewpoint, target_viewpoint, dimension=moving.dimension)
     # Compiled kernels come with Numba, whose import takes as long as a registration: only with the first.

@@ -131,7 +131,7 @@ def overlap_ratio(
 
     Parameters
     ----------
-    source_points, target_points : (M, D) and (N, D), D = 2 or 3, not empty.
+    source_points, target_points : (M, D) and (N, D), D = 2 or 3, not empty; points that are not finite have no partner.
     transformation : (D + 1, D + 1) rigid, homogeneous, source to target.
     distance : in the unit of the points, > 0; infinity for no limit.
 
@@ -141,8 +141,8 @@ def overlap_ratio(
 
     Raises
     ------
-    InputTypeError, InputError  if an argument is no finite array of that shape, a cloud is empty, the transformation
-                                is not rigid or the distance not positive.
+    InputTypeError, InputError  if an argument is no array of that shape, a cloud is empty or the target has no finite
+                                point, the transformation is not rigid or the distance not positive.
     """
     limit = distance_limit("distance", distance)
     source, target = _clouds(source_points, target_points)
@@ -160,7 +160,7 @@ def evaluate_registration(
 
     Parameters
     ----------
-    source_points, target_points : (M, D) and (N, D), D = 2 or 3, not empty.
+    source_points, target_points : (M, D) and (N, D), D = 2 or 3, not empty; points that are not finite have no partner.
     max_correspondence_distance : in the unit of the points, > 0; a pair must be nearer. Infinity for no limit.
     transformation : (D + 1, D + 1) rigid, homogeneous, source to target.
 
@@ -199,7 +199,7 @@ def information_matrix(
 
     Parameters
     ----------
-    source_points, target_points : (M, D) and (N, D), D = 2 or 3, not empty.
+    source_points, target_points : (M, D) and (N, D), D = 2 or 3, not empty; points that are not finite have no partner.
     max_correspondence_distance : in the unit of the points, > 0; a pair must be nearer. Infinity for no limit.
     transformation : (D + 1, D + 1) rigid, homogeneous, source to target.
 
@@ -243,17 +243,17 @@ def _rotation_between(T_true: ArrayLike, T_est: ArrayLike) -> Array:
 
 
 def _clouds(source_points: ArrayLike, target_points: ArrayLike) -> tuple[Array, Array]:
-    source = float_array("source_points", source_points, ("M", (2, 3)))
+    source = float_array("source_points", source_points, ("M", (2, 3)), finite=False)
     if len(source) == 0:
         raise InputError("source_points: expected at least one point, got none")
-    target = float_array("target_points", target_points, ("N", source.shape[1]))
-    check_coordinates("source_points", source)
-    check_coordinates("target_points", target)
-    return source, target
+    return source, float_array("target_points", target_points, ("N", source.shape[1]), finite=False)
 
 
 def _nearest(source: Array, target: Array, transformation: ArrayLike) -> tuple[NDArray[np.int64], Array]:
-    """Index of and squared distance to the target point nearest to every moved source point, (M,) each."""
+    """Index of and squared distance to the target point nearest to every moved source point, (M,) each.
+
+    Points that are not finite are nowhere: infinitely far from all others.
+    """
     rotation, translation = lie.split(transformation, tolerance=POSE_TOLERANCE)
     if len(translation) != source.shape[1]:
         size = source.shape[1] + 1
@@ -262,5 +262,11 @@ def _nearest(source: Array, target: Array, transformation: ArrayLike) -> tuple[N
             f"got {np.shape(transformation)}"
         )
     check_coordinates("transformation", translation)
-    indices, squares = NeighborIndex(target, name="target_points").query(source @ rotation.T + translation)
-    return indices[:, 0], squares[:, 0]
+    seen, known = (np.flatnonzero(np.isfinite(points).all(axis=1)) for points in (source, target))
+    moving, fixed = source[seen], target[known]
+    check_coordinates("source_points", moving)
+    check_coordinates("target_points", fixed)
+    found, distances = NeighborIndex(fixed, name="target_points").query(moving @ rotation.T + translation)
+    indices, squares = np.zeros(len(source), np.int64), np.full(len(source), np.inf)
+    indices[seen], squares[seen] = known[found[:, 0]], distances[:, 0]
+    return indices, squares

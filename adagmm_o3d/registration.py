@@ -89,7 +89,8 @@ def registration_adaptive_gmm(
 
     Parameters
     ----------
-    source, target : (M,) and (N,) point clouds of one kind, float32 or float64, at least three points each. Covariances
+    source, target : (M,) and (N,) point clouds of one kind, float32 or float64, at least three points each. Those that
+        are not finite, as organised clouds have them where nothing was measured, are ignored and counted. Covariances
         come from `PointCloud.covariances` or `point.covariances`; only their relative size matters. A cloud without any
         gets those of its surface (`estimate_surface_covariances`), as large as the other's own: along its normals where
         it has any, as in Open3D's GICP, or else from each point's nearest neighbours, for which it takes four points.
@@ -258,6 +259,8 @@ def _thinned(name: str, cloud: o3d.geometry.PointCloud, voxel_size: float, thick
     """Voxel averages. Normals become covariances first: the mean of two that point to opposite sides means nothing."""
     from adagmm_o3d.tensor_registration import check_voxel_size
 
+    if not np.isfinite(cloud.points).all():
+        cloud = o3d.geometry.PointCloud(cloud).remove_non_finite_points()
     if len(cloud.points):
         check_voxel_size(name, cloud.get_min_bound(), cloud.get_max_bound(), voxel_size)
     if cloud.has_normals() and not cloud.has_covariances():
@@ -281,4 +284,4 @@ def legacy_covariances(name: str, cloud: o3d.geometry.PointCloud, thickness: flo
     if len(cloud.covariances):
         return np.asarray(cloud.covariances)
     normals = np.asarray(cloud.normals) if len(cloud.normals) else None
-    return stand_in_covariances(np.asarray(cloud.points), normals, epsilon=thickness)
+    return stand_in_covariances(np.asarray(cloud.points), normals, epsilon=thickness, name=f"{name}.points")

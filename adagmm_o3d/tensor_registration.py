@@ -115,23 +115,33 @@ def _evaluated(
 ) -> o3d.t.pipelines.registration.RegistrationResult:
     """Open3D's `evaluate_registration`, which without a limit would look at every pair of points."""
     # Only the positions count; what else a cloud has Open3D would move as well, which it refuses for whole numbers.
-    source, target = TensorCloud(source.point.positions), TensorCloud(target.point.positions)
+    (source, seen), (target, known) = (_finite(TensorCloud(cloud.point.positions)) for cloud in (source, target))
     moved = source.clone().transform(transformation).point.positions
     if distance < math.inf:
         result = o3d.t.pipelines.registration.evaluate_registration(source, target, distance, transformation)
     else:
         index = o3d.core.nns.NearestNeighborSearch(target.point.positions)
         index.knn_index()
-        nearest, _ = index.knn_search(moved, 1)
         result = o3d.t.pipelines.registration.RegistrationResult()
-        result.fitness, result.correspondence_set = 1.0, nearest.to(o3d.core.int64)
-    # Open3D adds up in an order that depends on the number of threads.
+        result.correspondence_set = index.knn_search(moved, 1)[0].to(o3d.core.int64)
     partners = result.correspondence_set.cpu().numpy().ravel()
     paired = np.flatnonzero(partners >= 0)
-    moved, fixed = (cloud.cpu().numpy().astype(float) for cloud in (moved, target.point.positions))
-    squares = np.sum((moved[paired] - fixed[partners[paired]]) ** 2, axis=1)
+    result.fitness = len(paired) / len(seen)
+    # Open3D adds up in an order that depends on the number of threads.
+    start, end = (cloud.cpu().numpy().astype(float) for cloud in (moved, target.point.positions))
+    squares = np.sum((start[paired] - end[partners[paired]]) ** 2, axis=1)
     result.inlier_rmse = math.sqrt(squares.mean()) if len(paired) else 0.0
+    if not (seen.all() and known.all()):
+        among_all = np.full((len(seen), *result.correspondence_set.shape[1:]), -1)
+        among_all[np.flatnonzero(seen)[paired]] = np.flatnonzero(known)[result.correspondence_set.cpu().numpy()[paired]]
+        result.correspondence_set = o3d.core.Tensor(among_all, device=moved.device)
     return result
+
+
+def _finite(cloud: TensorCloud) -> tuple[TensorCloud, NDArray[np.bool_]]:
+    """The points that are finite, and (n,) which they are."""
+    finite, mask = cloud.remove_non_finite_points()
+    return finite, mask.cpu().numpy()
 
 
 def lies_on_gpu(cloud: TensorCloud) -> bool:
@@ -172,8 +182,8 @@ def _register_in_place(
     here = current_device(source.cloud.point.positions)
     with here:
         moving, fixed = mixture_in_place("source", source), mixture_in_place("target", target)
-        counts = len(moving.kept), len(fixed.kept)
-        colors = checked_colors(source_colors, target_colors, counts, needed=estimation_method.color)
+        kept = moving.kept, fixed.kept
+        colors = checked_colors(source_colors, target_colors, kept, needed=estimation_method.color)
         if colors is not None:
             moving, fixed = moving.coloured(colors[0]), fixed.coloured(colors[1])
         details = register_mixtures(
@@ -236,7 +246,7 @@ def _known_covariances(name: str, cloud: TensorCloud) -> o3d.core.Tensor | None:
         products = normals.reshape((-1, 3, 1)) * normals.reshape((-1, 1, 3))
         return o3d.core.Tensor.eye(3, o3d.core.float64, normals.device) - across * products
     # What neighbours have to say of points without a normal, the host finds out.
-    covariances = stand_in_covariances(_positions(cloud), normals.cpu().numpy())
+    covariances = stand_in_covariances(_positions(cloud), normals.cpu().numpy(), name=f"{name}.points")
     return None if covariances is None else o3d.core.Tensor(covariances, device=cloud.device)
 
 
@@ -265,6 +275,7 @@ def _thinned(name: str, cloud: TensorCloud, voxel_size: float) -> TensorCloud:
 
     Normals become covariances first: the mean of two that point to opposite sides means nothing.
     """
+    cloud, _ = _finite(cloud)
     if len(cloud.point.positions):
         low, high = (corner.cpu().numpy() for corner in (cloud.get_min_bound(), cloud.get_max_bound()))
         check_voxel_size(name, low, high, voxel_size)
@@ -285,7 +296,9 @@ def _thinned(name: str, cloud: TensorCloud, voxel_size: float) -> TensorCloud:
 
 def _covariances(name: str, cloud: TensorCloud) -> Array | None:
     known = _known_covariances(name, cloud)
-    return stand_in_covariances(_positions(cloud)) if known is None else known.cpu().numpy()
+    if known is not None:
+        return known.cpu().numpy()
+    return stand_in_covariances(_positions(cloud), name=f"{name}.points")
 
 
 def _positions(cloud: TensorCloud) -> Array:

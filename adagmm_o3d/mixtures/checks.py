@@ -28,21 +28,14 @@ def check_not_empty(name: str, count: int) -> None:
         raise InputError(f"{name}.points: the cloud is empty; registration needs at least {MIN_POINTS} points")
 
 
-def refuse_points(name: str, bad: NDArray[np.integer], count: int) -> NoReturn:
-    """Raise for the `bad` among so many points, which are not finite."""
-    raise InputError(
-        f"{name}.points: {len(bad)} of {count} points are not finite, the first at index {bad[0]}; "
-        "remove them first, e.g. with PointCloud.remove_non_finite_points()"
-    )
-
-
-def check_usable(name: str, usable: NDArray[np.bool_]) -> None:
-    """Raise if too many covariances are not finite."""
-    dropped = int(len(usable) - usable.sum())
-    if dropped > MAX_NONFINITE_SHARE * len(usable):
-        first = int(np.flatnonzero(~usable)[0])
+def check_usable(name: str, measured: NDArray[np.bool_], usable: NDArray[np.bool_]) -> None:
+    """Raise if too many of the points that are finite (`measured`) have covariances that are not, or none is."""
+    if not measured.any():
+        raise InputError(f"{name}.points: not one of the {len(measured)} points is finite")
+    dropped = np.flatnonzero(measured & ~usable)
+    if len(dropped) > MAX_NONFINITE_SHARE * measured.sum():
         raise InputError(
-            f"{name}.covariances: {dropped} of {len(usable)} are not finite, the first at index {first}; "
+            f"{name}.covariances: {len(dropped)} of {measured.sum()} are not finite, the first at index {dropped[0]}; "
             f"at most {MAX_NONFINITE_SHARE:.0%} may be (those points are ignored)"
         )
 
@@ -71,10 +64,14 @@ def typical_variance(name: str, largest: Array) -> float:
     return float(np.median(positive))
 
 
-def check_count(name: str, count: int) -> None:
+def check_count(name: str, usable: NDArray[np.bool_]) -> None:
     """Raise if too few points are left."""
+    count = int(usable.sum())
     if count < MIN_POINTS:
-        raise DegenerateError(f"{name}.points: {count} points cannot fix a pose; at least {MIN_POINTS} are needed")
+        points = "1 point" if count == 1 else f"{count} points"
+        ignored = len(usable) - count
+        rest = f" ({ignored} more {'is' if ignored == 1 else 'are'} not finite)" if ignored else ""
+        raise DegenerateError(f"{name}.points: {points} cannot fix a pose; at least {MIN_POINTS} are needed{rest}")
 
 
 def check_spread(name: str, p: Array) -> None:

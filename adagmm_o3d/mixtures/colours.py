@@ -64,14 +64,19 @@ class ColourModel:
 
 
 def checked_colors(
-    source: ArrayLike | None, target: ArrayLike | None, counts: tuple[int, int], *, needed: bool = False
+    source: ArrayLike | None,
+    target: ArrayLike | None,
+    kept: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    *,
+    needed: bool = False,
 ) -> tuple[Array, Array] | None:
     """Colours of both clouds, (m, 3) and (n, 3) L*a*b*; None where there are none and none are `needed`.
 
     Parameters
     ----------
     source, target : (m, 3) and (n, 3) sRGB, 0 to 1 or, as uint8, 0 to 255, or beyond 0 and 1 by OVERSHOT, which is cut
-        off; or (m,), (m, 1) and (n,), (n, 1) intensities, of any unit, at least 0.   counts : m and n.
+        off; or (m,), (m, 1) and (n,), (n, 1) intensities, of any unit, at least 0.   kept : (m,) and (n,) bool,
+        False for the points whose colour does not matter and becomes black.
 
     Raises
     ------
@@ -83,7 +88,7 @@ def checked_colors(
         if value is None:
             beside = "as the other cloud has them" if other is not None else "as color is on"
             raise InputError(f"{name}.colors: expected one for each of the points {beside}, got none")
-    moving, fixed = _checked("source", source, counts[0]), _checked("target", target, counts[1])
+    moving, fixed = _checked("source", source, kept[0]), _checked("target", target, kept[1])
     if moving.ndim != fixed.ndim:
         kinds = ["intensities" if values.ndim == 1 else "colours" for values in (moving, fixed)]
         raise InputError(f"target.colors: expected {kinds[0]} as the source has, got {kinds[1]}")
@@ -92,12 +97,16 @@ def checked_colors(
     return lab_of(moving), lab_of(fixed)
 
 
-def _checked(name: str, value: ArrayLike | None, count: int) -> Array:
+def _checked(name: str, value: ArrayLike | None, kept: NDArray[np.bool_]) -> Array:
     """(n, 3) from 0 to 1, or (n,) intensities."""
     name = f"{name}.colors"
     as_bytes = np.asarray(value).dtype == np.uint8
     rows = np.asarray(value).ndim
-    colors = float_array(name, value, (count,) if rows == 1 else (count, (3, 1)))
+    shape = (len(kept),) if rows == 1 else (len(kept), (3, 1))
+    colors = float_array(name, value, shape, finite=False)
+    if not kept.all():
+        colors = np.where(kept if rows == 1 else kept[:, None], colors, 0.0)
+    colors = float_array(name, colors, shape)
     lowest = float(colors.min(initial=0.0))
     intensities = rows == 1 or colors.shape[1] == 1
     if lowest < (0.0 if intensities else -OVERSHOT):

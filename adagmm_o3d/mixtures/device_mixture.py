@@ -31,7 +31,6 @@ from adagmm_o3d.mixtures.checks import (
     check_usable,
     refuse_asymmetric,
     refuse_indefinite,
-    refuse_points,
     spread_of,
     typical_variance,
 )
@@ -191,10 +190,9 @@ def device_mixture(name: str, positions: Any, covariances: Any | None, *, surfac
     inspect[_blocks(n), TILE](positions, positions if covariances is None else covariances, table, status)
     findings = status.copy_to_host()
     fault, flags = findings & inspecting.FAULTS, findings & ~np.uint8(inspecting.FAULTS)
-    if (fault == inspecting.POINT_NOT_FINITE).any():
-        refuse_points(name, np.flatnonzero(fault == inspecting.POINT_NOT_FINITE), n)
-    usable = fault != inspecting.COVARIANCE_NOT_FINITE
-    check_usable(name, usable)
+    measured = fault != inspecting.POINT_NOT_FINITE
+    usable = measured & (fault != inspecting.COVARIANCE_NOT_FINITE)
+    check_usable(name, measured, usable)
     if (fault == inspecting.CROOKED).any():
         refuse_asymmetric(name, np.flatnonzero(fault == inspecting.CROOKED))
     if (fault == inspecting.NOT_POSITIVE).any():
@@ -205,13 +203,13 @@ def device_mixture(name: str, positions: Any, covariances: Any | None, *, surfac
     if empty:
         variance = typical_variance(name, table[LARGEST].copy_to_host())
         inspecting.fill_empty[_blocks(table.shape[1]), TILE](table, variance)
-    check_count(name, int(usable.sum()))
+    check_count(name, usable)
     bounds = bounds_of(table)
     check_largest(name, float(np.abs(bounds).max()))
     isotropic = not (flags & inspecting.ANISOTROPIC).any()
     regularised = int(((flags & (inspecting.SINGULAR | inspecting.EMPTY)) != 0).sum())
     if covariances is None and surface:
-        _estimate_surface(table, bounds)
+        _estimate_surface(name, table, bounds)
         isotropic = False
     variances = table[VARIANCE].copy_to_host()
     mixture = DeviceMixture(table, isotropic, usable, regularised, variances, variances, AS_GIVEN)
@@ -278,10 +276,10 @@ def _check_spread(name: str, mixture: DeviceMixture) -> None:
     check_rank(name, spread, n, float(np.abs(mixture.bounds).max()) / (extent or 1.0))
 
 
-def _estimate_surface(table: Any, bounds: Array) -> None:
+def _estimate_surface(name: str, table: Any, bounds: Array) -> None:
     """Fill in the covariances of the surface."""
     n = table.shape[1]
-    check_surface_count(n, 3)
+    check_surface_count(f"{name}.points", n, 3)
     order = curve_order(table, AS_GIVEN, bounds)
     ordered = _gathered(table, order, POINT_ROWS)
     tiles = _blocks(n)

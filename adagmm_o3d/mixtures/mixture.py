@@ -22,7 +22,6 @@ from adagmm_o3d.mixtures.checks import (
     check_usable,
     refuse_asymmetric,
     refuse_indefinite,
-    refuse_points,
     typical_variance,
 )
 
@@ -42,7 +41,7 @@ class Mixture:
 
     points : (n, 3).   covariances : (n, 3, 3), positive definite (in 2D the block xx, xy, yy; zz is 1).
     weights : (n,) > 0.   dimension : 2 or 3.   isotropic : every covariance is a multiple of the identity.
-    kept : (size of the input,) bool, False where a point had a non-finite covariance and is not in the mixture.
+    kept : (size of the input,) bool, False where a point or its covariance was not finite and is not in the mixture.
     regularised : how many of the input's covariances were singular.   colours : (n, 3), see `colours`, or None.
     """
 
@@ -209,25 +208,25 @@ def make_mixture(
 
     Raises
     ------
-    InputTypeError : not real numbers.   InputError : shape, non-finite points, covariances that are not symmetric, have
-    a negative eigenvalue beyond rounding, are all zero, or are non-finite at more than 1 % of the points (fewer are
-    dropped and counted).
+    InputTypeError : not real numbers.   InputError : shape, no point that is finite (those that are not, as organised
+    clouds have them where nothing was measured, are dropped and counted), covariances that are not symmetric, have a
+    negative eigenvalue beyond rounding, are all zero, or are non-finite at more than 1 % of the points that are finite
+    (fewer are dropped and counted).
     DegenerateError : fewer than 3 points, or all on one line (3D) or in one place (2D).
     """
     p = float_array(f"{name}.points", points, ("n", (2, 3)), finite=False)
     n, dimension = p.shape
     check_not_empty(name, n)
-    if not np.isfinite(p).all():
-        refuse_points(name, np.flatnonzero(~np.isfinite(p).all(axis=1)), n)
     c = _check_covariances(name, covariances, n, dimension)
     w = _check_weights(name, weights, n)
-    finite, usable = np.isfinite(c), np.full(n, True)
-    if not finite.all():
-        usable = np.asarray(finite.all(axis=(1, 2)))
-        check_usable(name, usable)
+    usable = np.full(n, True)
+    if not (np.isfinite(p).all() and np.isfinite(c).all()):
+        measured = np.asarray(np.isfinite(p).all(axis=1))
+        usable = measured & np.isfinite(c).all(axis=(1, 2))
+        check_usable(name, measured, usable)
         p, c, w = p[usable], c[usable], w[usable]
     c, eigenvalues, regularised = _make_definite(name, c, usable)
-    check_count(name, len(p))
+    check_count(name, usable)
     check_spread(name, p)
     if dimension == 2:
         p, c = _lift(p, c)

@@ -83,7 +83,7 @@ def estimate_surface_covariances(
     if thickness > 1.0:
         raise InputError(f"epsilon: expected at most 1, got {thickness:g}; it is the variance across the surface")
     if normals is None:
-        check_count(*p.shape)
+        check_count("points", *p.shape)
         edge = even_edge(p)
         if edge is None:
             return _plane_covariances(_estimate_normals(p, neighbors, np.arange(len(p))), thickness)
@@ -94,31 +94,43 @@ def estimate_surface_covariances(
     return _plane_covariances(n, thickness)
 
 
-def stand_in_covariances(points: Array, normals: Array | None = None, *, epsilon: float = EPSILON) -> Array | None:
+def stand_in_covariances(
+    points: Array, normals: Array | None = None, *, epsilon: float = EPSILON, name: str = "points"
+) -> Array | None:
     """What stands for the covariances that a cloud does not have: those of its surface, as in Open3D's GICP.
 
     Parameters
     ----------
-    points : (N, D), D = 2 or 3, any unit.
+    points : (N, D), D = 2 or 3, any unit. Those that are not finite are nobody's neighbours; for them Σ = I.
     normals : (N, D) as the cloud has them, of any length and sign, or None. Neighbours speak for a point whose normal
         is zero or not finite; where there are no more than D points, Σ = I.
-    epsilon : as in `estimate_surface_covariances`.
+    epsilon : as in `estimate_surface_covariances`.   name : what an error calls the points.
 
     Returns
     -------
-    (N, D, D) float64, or None for fewer than three points or some that are not finite or so large that their squares
-    overflow, which no registration takes.
+    (N, D, D) float64, or None for fewer than three finite points or some so large that their squares overflow, which no
+    registration takes.
 
     Raises
     ------
     DegenerateError  if there are no usable normals, and no more than D points.
     """
+    measured = np.isfinite(points).all(axis=1)
+    if not measured.all():
+        of_these = None if normals is None else normals[measured]
+        found = stand_in_covariances(points[measured], of_these, epsilon=epsilon, name=name)
+        if found is None:
+            return None
+        covariances = np.tile(np.eye(points.shape[1]), (len(points), 1, 1))
+        covariances[measured] = found
+        return covariances
     if len(points) < 3 or not (np.abs(points) <= LARGEST_COORDINATE).all():
         return None
     usable: NDArray[np.bool_] = np.zeros(len(points), bool)
     if normals is not None:
         usable = np.asarray(np.isfinite(normals).all(axis=1) & normals.any(axis=1))
     if normals is None or not usable.any():
+        check_count(name, *points.shape)
         return estimate_surface_covariances(points, epsilon=epsilon)
     n = np.zeros(points.shape)
     n[usable] = unit_vectors("normals", normals[usable], ("N", points.shape[1]))
@@ -127,11 +139,11 @@ def stand_in_covariances(points: Array, normals: Array | None = None, *, epsilon
     return _plane_covariances(n, epsilon)
 
 
-def check_count(count: int, dimension: int) -> None:
+def check_count(name: str, count: int, dimension: int) -> None:
     """Raise if so few points have no normals."""
     if count <= dimension:
         raise DegenerateError(
-            f"points: expected more than {dimension} to estimate normals from, got {count}; pass normals or covariances"
+            f"{name}: expected more than {dimension} to estimate normals from, got {count}; pass normals or covariances"
         )
 
 

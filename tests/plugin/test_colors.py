@@ -239,16 +239,16 @@ def test_colours_help_in_the_plane_too():
 def test_colours_that_overshoot_are_cut_off(wall):
     lowest, highest = wall.source_colors.min(), wall.source_colors.max()
     seen = 1.08 * (wall.source_colors - lowest) / (highest - lowest) - 0.04
-    counts = len(seen), len(wall.target_colors)
+    kept = np.full(len(seen), True), np.full(len(wall.target_colors), True)
     for given in (seen, np.clip(seen, 0.0, 2.0)):
-        cut, _ = checked_colors(given, wall.target_colors, counts)
-        expected, _ = checked_colors(np.clip(seen, 0.0, 1.0), wall.target_colors, counts)
+        cut, _ = checked_colors(given, wall.target_colors, kept)
+        expected, _ = checked_colors(np.clip(seen, 0.0, 1.0), wall.target_colors, kept)
         np.testing.assert_array_equal(cut, expected)
     for wrong, words in ((1.06, r"0 to 1, got 1\.06; divide by 255"), (-0.06, r"at least 0, got -0\.06")):
         with pytest.raises(InputError, match=rf"^source\.colors: expected .*{words}"):
-            checked_colors(np.full((5, 3), wrong), np.ones((5, 3)), (5, 5))
+            checked_colors(np.full((5, 3), wrong), np.ones((5, 3)), (kept[0][:5], kept[1][:5]))
     with pytest.raises(InputError, match=r"at least 0, got -0\.01"):
-        checked_colors(np.full(5, -0.01), np.ones(5), (5, 5))
+        checked_colors(np.full(5, -0.01), np.ones(5), (kept[0][:5], kept[1][:5]))
 
 
 @pytest.mark.parametrize(

@@ -50,8 +50,7 @@ def bits(result):
         said += [np.asarray(result.transformation.numpy() if hasattr(result.transformation, "numpy") else 0)]
         correspondences = result.correspondence_set
         said += [correspondences.numpy() if hasattr(correspondences, "numpy") else np.asarray(correspondences)]
-        # Open3D adds up the residuals of a legacy cloud in another order each time.
-        said += [result.fitness, np.float32(result.inlier_rmse)]
+        said += [result.fitness, result.inlier_rmse]
     return b"".join(np.asarray(value).tobytes() for value in said)
 
 

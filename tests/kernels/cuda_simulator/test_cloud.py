@@ -15,6 +15,7 @@ from adagmm_o3d.pairs import cuda_pairs
 from adagmm_o3d.pairs.cpu_pairs import PairLoop
 from adagmm_o3d.pairs.cuda_sides import make_side
 from adagmm_o3d.trust.pose_covariance import Fit, score_moments
+from adagmm_o3d.uncertainty.surface import stand_in_covariances
 
 # More tiles than a block looks at at a time.
 SIZES = (TILE * TILE + 3, 50)
@@ -145,10 +146,10 @@ def test_isotropic_covariances_beside_others_are_matrices_too():
     np.testing.assert_allclose(got, wanted, rtol=1e-6, atol=1e-6)
 
 
-def test_points_whose_covariance_is_not_finite_are_left_out():
+def test_points_that_or_whose_covariances_are_not_finite_are_left_out():
     rng = np.random.default_rng(4)
     points, covariances = random_points_and_covariances(rng, 120, 3, isotropic=False)
-    covariances[17, 1, 2] = np.nan
+    points[[3, 90], [0, 2]], covariances[17, 1, 2] = (np.nan, np.inf), np.nan
     same_mixture(
         device_mixture("source", cuda.to_device(points), cuda.to_device(covariances)),
         make_mixture("source", points, covariances),
@@ -164,7 +165,8 @@ def spoil(n=60, **changes):
 
 
 SPOILED = {
-    "a point that is not finite": spoil(points=(([3, 7], 1), np.inf)),
+    "no point that is finite": spoil(points=((slice(None), 1), np.inf)),
+    "two points that are finite": spoil(points=((slice(58), 0), np.nan)),
     "too many covariances that are not finite": spoil(covariances=(([2, 5], 0, 0), np.nan)),
     "a crooked covariance": spoil(covariances=((8, 0, 1), 9.0)),
     "an indefinite covariance": spoil(covariances=((9, 0, 0), -1.0)),
@@ -230,7 +232,7 @@ def test_covariances_of_the_surface_are_those_of_the_host(points):
 def test_a_surface_needs_four_points():
     points = surface_points(3)
     with pytest.raises(AdaGMMError) as expected:
-        estimate_surface_covariances(points)
+        stand_in_covariances(points, name="source.points")
     with pytest.raises(type(expected.value)) as caught:
         device_mixture("source", cuda.to_device(points), None)
     assert str(caught.value) == str(expected.value)

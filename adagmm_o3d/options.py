@@ -79,7 +79,8 @@ class TransformationEstimationForAdaptiveGMM:
     start : where to begin when `init` is the identity or left out.
         "auto": at the identity or with common centroids, whichever explains the clouds better.
         "init": at the identity.   "centroids": with common centroids (the paper).
-    search : where the first result leaves doubt, try other starts and what features propose, and let the judge decide.
+    search : where the first results leave doubt, try other starts and what features propose, and let the judge decide.
+        False: only the nearest optimum to `init`, or the identity, and where the wide start from there leads compete.
     mutuality : 0 to 0.5, how much of a pair's weight is its share among the target point's pairs, beside that among the
         source point's (0.5: both alike). None: 0.5 for clouds of more than 1100 points, where it pays; 0 for smaller
         ones, where it costs accuracy under heavy noise.

@@ -104,7 +104,7 @@ def find(
     given : (4, 4) pose that somebody has vouched for, or None.
     identity : (4, 4) the input's identity, or None if it means nothing.
     centroids : whether common centroids are a start.   everywhere : whether nothing is known of the pose.
-    search : whether to search where the first end leaves doubt.
+    search : whether to search where the first end, and those near the pose that is believed, leave doubt.
     judge : made when it is first needed.   viewpoints : see `judge.Judge`.
         All of it between the normalised mixtures.
     """
@@ -117,7 +117,7 @@ def find(
     first = None
     if not everywhere:
         first = first_end(levels, [starts.wide(base) for base in bases])
-        if is_tight(levels, first[1]) or not search:
+        if is_tight(levels, first[1]):
             return Found(first[1], False)
     sharp = levels.source.dimension == 3 and judge().sharp
     pool = _judged(judge(), [first[1]]) if sharp and first is not None else []
@@ -128,6 +128,11 @@ def find(
     apart = certain and given is None and believed is not None and judge().confidence(believed) <= 0.0
     if believed is not None and not everywhere and (sharp or given is not None) and not apart:
         nearby = levels.run(levels.schedule.near, starts.near(believed), 2)
+    if first is not None and not search:
+        if sharp:
+            # Who wants no search vouches for where it begins.
+            return _found(judge(), _judged(judge(), nearby), pool, vouched=True)
+        return Found(_most_likely([first[1], *nearby]), False)
     if not sharp:
         # Noise hides the shape at the scale of the points: the likelihood at the noise's own scale decides.
         if first is None:

@@ -472,7 +472,7 @@ def test_a_folder_of_recordings_is_none_itself(tmp_path):
     layout(tmp_path / "first")
     layout(tmp_path / "second", "frame-{i:06d}.color.png", "frame-{i:06d}.depth.png")
     write_tum(tmp_path / "third", POSES[:2], SMALL)
-    refused(tmp_path, "it holds 3 folders, but no folder of colour and one of depth images")
+    refused(tmp_path, "not a recording itself; name one of those in it, .*/first and others")
     assert recordings_in(tmp_path) == [tmp_path / name for name in ("first", "second", "third")]
     assert recordings_in(tmp_path / "first") == []
     (tmp_path / "alone").mkdir()

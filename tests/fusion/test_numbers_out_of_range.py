@@ -19,7 +19,8 @@ RIG = str(ROOT / "calibration" / "two_kinects.yaml")
 
 RUN = [
     *(("--voxel-size", text) for text in ("nan", "-1", "0", "1e-9", "1e-300", "1e9", "1e300", "inf")),
-    *(("--target-points", text) for text in ("0", "1", "-5", "999999999999", "9" * 30)),
+    *(("--target-points", text) for text in ("0", "1", "-5", "5", "999999999999", "9" * 30)),
+    *(("--workers", text) for text in ("0", "1")),  # for a folder of recordings
     *(("--max-depth", text) for text in ("inf", "0", "1e-300", "1e300", "nan")),
     *(("--max-iteration", text) for text in ("0", "-5", "9" * 25)),
     *(("--partner-distance", text) for text in ("0", "1e-300", "1e300")),

@@ -114,6 +114,7 @@ def run(args: argparse.Namespace) -> int:
         from adagmm_fusion.commands import run as one_recording
         from adagmm_fusion.commands.run_config import config_text
         from adagmm_fusion.commands.run_many import recordings_in, run_many
+        from adagmm_fusion.errors import RecordingError
         from adagmm_fusion.pairs.settings import Settings
 
     settings = Settings(**{name: getattr(args, name) for name in SETTINGS_OPTIONS})
@@ -122,5 +123,9 @@ def run(args: argparse.Namespace) -> int:
         return 0
     if args.verbose or args.quiet:
         logging.basicConfig(level=logging.INFO if args.verbose else logging.ERROR, format="%(message)s")
-    recordings = recordings_in(args.recording)
-    return run_many(recordings, args, settings) if recordings else one_recording.run(args, settings)
+    if recordings := recordings_in(args.recording):
+        return run_many(recordings, args, settings)
+    for option, value in (("--workers", args.workers), ("--scheduler", args.scheduler)):
+        if value is not None:
+            raise RecordingError(f"{args.recording}: one recording; {option} is for a folder of them")
+    return one_recording.run(args, settings)

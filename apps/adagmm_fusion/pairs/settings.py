@@ -9,7 +9,7 @@ from adagmm_o3d.uncertainty.sensor_models import DEFAULT
 # What makes sense with depth cameras and can be computed with; a number beyond is a slip or another unit.
 LIMITS = {
     "voxel_size_m": (1e-4, 10.0),
-    "target_points": (3, 10_000_000),
+    "target_points": (100, 10_000_000),
     "max_depth_m": (0.2, 1000.0),
     "partner_distance_m": (1e-6, 1000.0),
     "max_iteration": (1, 100_000),

@@ -11,6 +11,9 @@ from adagmm_fusion.recordings.frame_sequence import FrameEntry, FrameSequence, P
 from adagmm_fusion.rigs.rig import Rig, load_rig
 from adagmm_o3d.errors import InputError
 
+# Of a folder that is no recording, so many entries are looked at, and so many subfolders tried.
+MOST_LISTED, MOST_TRIED = 10_000, 100
+
 __all__ = ["FORMATS", "FrameEntry", "FrameSequence", "PairEntry", "Recording", "open_recording"]
 
 
@@ -57,15 +60,25 @@ def _detect(path: Path) -> str:
         return found[0]
     if found:
         raise RecordingError(f"{path}: could be {' or '.join(found)}; say which with format")
+    if inside := _recordings_inside(path):
+        more = " and others" if len(inside) > 1 else ""
+        raise RecordingError(f"{path}: not a recording itself; name one of those in it, {inside[0]}{more}")
     raise RecordingError(f"{path}: not a recording of a known format; {_what_is_there(path)}; see recordings/README.md")
+
+
+def _recordings_inside(path: Path) -> list[Path]:
+    """The recordings among the first subfolders."""
+    if path.is_file():
+        return []
+    folders = (child for child in sorted(islice(path.iterdir(), MOST_LISTED)) if child.is_dir())
+    return [child for child in islice(folders, MOST_TRIED) if matching(child)]
 
 
 def _what_is_there(path: Path) -> str:
     """The kinds of files at a path, in a few words."""
     if path.is_file():
         return f"files ending in {path.suffix!r} are not read by themselves"
-    kinds = Counter(
-        "folders" if child.is_dir() else child.suffix.lower() or child.name for child in islice(path.iterdir(), 10_000)
-    )
+    listed = islice(path.iterdir(), MOST_LISTED)
+    kinds = Counter("folders" if child.is_dir() else child.suffix.lower() or child.name for child in listed)
     common = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common(4))
     return f"it holds {common or 'nothing'}, but no folder of colour and one of depth images"

@@ -217,6 +217,7 @@ UNDERSTOOD = {
     "a matrix as text": ("k.json", {"K": "140 0 79 0 141 60.5 0 0 1"}),
     "names and values": ("K.csv", "fx,140\nfy,141\ncx,79\ncy,60.5\n"),
     "orb-slam": ("camera.yaml", "%YAML:1.0\n---\n" + ORB),
+    "orb-slam, of any name": ("TUM1.yaml", "%YAML:1.0\r\n---\r\n" + ORB.replace("\n", "\r\n")),
 }
 
 
@@ -224,6 +225,12 @@ UNDERSTOOD = {
 def test_more_ways_to_write_intrinsics(recorded, name):
     file, content = UNDERSTOOD[name]
     assert intrinsics(recorded({file: content})) == SMALL
+
+
+def test_other_yaml_files_are_nobodys_calibration(recorded, tmp_path):
+    (tmp_path / "bytes.yaml").write_bytes(b"\xff\xfe")
+    recording = recorded({"intrinsics.json": NAMED, "run.yaml": "speed: 5\nnote: see Camera.fx\n"})
+    assert intrinsics(recording) == SMALL and not any(".yaml" in note for note in recording.notes)
 
 
 def test_a_file_that_is_not_understood_is_named(recorded, tmp_path):

@@ -55,6 +55,7 @@ FILE_NAME = re.compile(r"intrinsic|calib|camera|(^|[^a-z])(k|cam|cam_params)([^a
 # Such a name is of where the camera is.
 OF_POSES = re.compile(r"pose|traj|ground_?truth|odom|extrinsic|c2w|w2c|to_?world|to_?cam", re.IGNORECASE)
 FOLDER_NAME = re.compile(r"intrinsic|calib|camera", re.IGNORECASE)
+ORB_SLAMS = re.compile(r"^Camera1?\.fx[ \t]*:", re.MULTILINE)
 # An image size, as in 640x480.
 IN_NAME = re.compile(r"(?<!\d)(\d{2,5}) ?[xX] ?(\d{2,5})(?!\d)")
 FEW_VALUES = "a 3x3 or 4x4 matrix or fx fy cx cy"
@@ -108,15 +109,28 @@ class CameraFile:
 
 
 def find_camera_files(folder: Path) -> list[Path]:
-    """The files that by their names may hold a calibration, in the folder and in those below that are named so."""
+    """The files that by their names may hold a calibration, in the folder and in those below that are named so; and
+    ORB-SLAM's settings, whatever they are called."""
     places = [folder, *(p for p in sorted(folder.iterdir()) if p.is_dir() and FOLDER_NAME.search(p.name))]
     found = []
     for place in places:
         for path in sorted(place.iterdir()):
-            if path.suffix.lower() in SUFFIXES and FILE_NAME.search(path.stem if place == folder else f"k_{path.stem}"):
+            if path.suffix.lower() not in SUFFIXES:
+                continue
+            named = FILE_NAME.search(path.stem if place == folder else f"k_{path.stem}")
+            if named or (place == folder and _is_orb_slams(path)):
                 found.append(inside(folder, str(path.relative_to(folder)), str(folder)))
     of_poses = {path for path in found if OF_POSES.search(path.name) and "intrinsic" not in path.name.lower()}
     return [path for path in found if path not in of_poses and not path.is_dir()]
+
+
+def _is_orb_slams(path: Path) -> bool:
+    if path.suffix.lower() not in (".yaml", ".yml"):
+        return False
+    try:
+        return ORB_SLAMS.search(read_input_text(path, RecordingError)) is not None
+    except RecordingError:  # then it is not by its contents that anybody would look into it
+        return False
 
 
 def read_camera_file(path: Path) -> CameraFile | None:

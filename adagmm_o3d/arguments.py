@@ -54,7 +54,7 @@ def float_array(
         raise InputTypeError(f"{name}: expected an array of real numbers, got {got}")
     if array.ndim != len(shape) or not all(map(_fits, array.shape, shape)):
         raise InputError(f"{name}: expected shape {_shown(shape)}, got {_shown(array.shape)}")
-    with np.errstate(over="ignore"):  # a long double beyond float64 becomes infinite, and is refused as that
+    with np.errstate(over="ignore"):  # a long double beyond float64 becomes infinite, and is treated as that
         array = np.ascontiguousarray(array, dtype=np.float64)
     if finite and not np.isfinite(array).all():
         index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
@@ -188,7 +188,7 @@ def _one_float(name: str, value: Any, limit: str) -> float:
 
 
 def _as_floats(array: NDArray[Any]) -> Array:
-    """An array of Python's numbers as floats; one too large for a float becomes infinite, and is refused as that."""
+    """An array of Python's numbers as floats; one too large for a float becomes infinite, and is treated as that."""
 
     def number(entry: Any) -> float:
         try:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adagmm_o3d.arguments import Array, float_array
-from adagmm_o3d.errors import InputError
+from adagmm_o3d.errors import InputError, InputTypeError
 from adagmm_o3d.mixtures.colours import checked_colors
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.options import (
@@ -112,6 +112,8 @@ def _mixture(
     name: str, cloud: ArrayLike | PreparedCloud[Any], covariances: ArrayLike | None, make: Callable[..., Mixture]
 ) -> Mixture:
     if not isinstance(cloud, PreparedCloud):
+        if type(cloud).__name__ == "PointCloud":
+            raise InputTypeError(f"{name}: expected an array, got a PointCloud; see registration_adaptive_gmm()")
         return make(name, cloud, covariances)
     if covariances is not None:
         raise InputError(f"{name}_covariances: {name} was prepared with its covariances; give them to prepare()")

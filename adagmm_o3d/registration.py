@@ -209,9 +209,10 @@ def _check_legacy(source: Any, target: Any) -> None:
         is_tensor = kind_of(source) == "tensor"
         wanted, got = ("open3d.t", "open3d") if is_tensor else ("open3d", "open3d.t")
         convert = "open3d.t.geometry.PointCloud.from_legacy()" if is_tensor else ".to_legacy()"
+        prepared, when = ("a prepared", ", then prepare it") if isinstance(target, PreparedCloud) else ("an", "")
         raise InputTypeError(
-            f"target: expected a {wanted}.geometry.PointCloud as the source is, "
-            f"got a {got}.geometry.PointCloud; convert it with {convert}"
+            f"target: expected an {wanted}.geometry.PointCloud as the source is, "
+            f"got {prepared} {got}.geometry.PointCloud; convert it with {convert}{when}"
         )
 
 

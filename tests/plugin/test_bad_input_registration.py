@@ -392,15 +392,26 @@ def test_things_that_are_no_clouds():
     check(
         lambda: registration_adaptive_gmm(good_tensor, good, 0.1),
         InputTypeError,
-        "target: expected a open3d.t.geometry.PointCloud as the source is, got a open3d.geometry.PointCloud; "
+        "target: expected an open3d.t.geometry.PointCloud as the source is, got an open3d.geometry.PointCloud; "
         "convert it with open3d.t.geometry.PointCloud.from_legacy()",
     )
     check(
         lambda: registration_adaptive_gmm(good, good_tensor, 0.1),
         InputTypeError,
-        "target: expected a open3d.geometry.PointCloud as the source is, got a open3d.t.geometry.PointCloud; "
+        "target: expected an open3d.geometry.PointCloud as the source is, got an open3d.t.geometry.PointCloud; "
         "convert it with .to_legacy()",
     )
+
+
+@pytest.mark.parametrize("kind", ["legacy", "tensor"])
+def test_clouds_among_arrays_are_told_the_other_door(kind):
+    cloud = {"legacy": legacy, "tensor": tensor}[kind](POINTS[3])
+    for name, pair in (("source", (cloud, POINTS[3])), ("target", (POINTS[3], cloud))):
+        check(
+            lambda pair=pair: register_points(*pair),
+            InputTypeError,
+            f"{name}: expected an array, got a PointCloud; see registration_adaptive_gmm()",
+        )
 
 
 def test_tensor_clouds_without_positions_or_of_another_dtype():

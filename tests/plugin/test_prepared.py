@@ -197,7 +197,11 @@ def test_the_door_of_a_prepared_cloud_has_to_fit():
     source, target = parts(sizes=(300, 400))
     with pytest.raises(InputTypeError, match=r"target: expected .* got an array that was prepared"):
         by_clouds(legacy(source), prepare(target))
-    with pytest.raises(InputTypeError, match=r"target: expected a open3d\.geometry\.PointCloud as the source is"):
+    words = (
+        r"target: expected an open3d\.geometry\.PointCloud as the source is, got a prepared open3d\.t\.geometry\."
+        r"PointCloud; convert it with \.to_legacy\(\), then prepare it"
+    )
+    with pytest.raises(InputTypeError, match=words):
         by_clouds(legacy(source), prepare(tensor(target)))
 
 

@@ -187,7 +187,8 @@ def test_of_poses_near_the_start_that_explain_the_same_the_nearest_is_taken():
 )
 def test_a_start_that_may_be_right_is_kept_though_elsewhere_more_is_explained(at_start, held, vouched, kept):
     judge = SimpleNamespace(held=lambda pose: 1.0 if np.array_equal(pose, THERE) else held)
-    near, there = find.Candidate(judge, end_at(np.eye(4)), at_start), find.Candidate(judge, end_at(THERE), 1.5)
+    came = end_at(np.eye(4))._replace(start=se_exp(np.array([0.0, 0.0, 0.0, 0.3, 0.0, 0.0])))
+    near, there = find.Candidate(judge, came, at_start), find.Candidate(judge, end_at(THERE), 1.5)
     end, rivals = find._chosen([near], [there], 0.5, 0.0 if vouched else 0.5)
     np.testing.assert_array_equal(end.pose, np.eye(4) if kept else THERE)
     assert all(np.array_equal(rival, THERE) for rival in rivals) and bool(rivals) == kept
@@ -206,6 +207,19 @@ def test_a_pose_that_explains_as_much_as_halves_of_a_cloud_do_is_a_rival_of_one_
     end, rivals = find._chosen([], pool, 0.5, 0.5)
     np.testing.assert_array_equal(end.pose, np.eye(4))
     assert len(rivals) == rival and all(np.array_equal(one, THERE) for one in rivals)
+
+
+@pytest.mark.parametrize(
+    "evidence, held, moved, rival",
+    [(0.3, 0.97, 0.1, True), (0.3, 0.97, 0.4, False), (0.3, 0.8, 0.1, False), (-0.1, 0.97, 0.1, False)],
+)
+def test_a_pose_that_holds_where_the_clouds_were_left_is_a_rival_whatever_explains_more(evidence, held, moved, rival):
+    pose = se_exp(np.array([0.0, 0.0, 0.0, moved, 0.0, 0.0]))
+    judge = SimpleNamespace(held=lambda at: held if np.array_equal(at, pose) else 1.0)
+    near, there = find.Candidate(judge, end_from(pose), evidence), find.Candidate(judge, end_at(THERE), 1.5)
+    end, rivals = find._chosen([near], [there], 0.5, 0.5)
+    np.testing.assert_array_equal(end.pose, THERE)
+    assert len(rivals) == rival and all(np.array_equal(one, pose) for one in rivals)
 
 
 @pytest.mark.parametrize("held, nearer", [(1.0, True), (0.9, False)])

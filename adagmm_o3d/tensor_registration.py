@@ -113,17 +113,21 @@ def ready_tensor(name: str, cloud: TensorCloud, voxel_size: float) -> PreparedCl
 def _evaluated(
     source: TensorCloud, target: TensorCloud, distance: float, transformation: o3d.core.Tensor
 ) -> o3d.t.pipelines.registration.RegistrationResult:
-    """Open3D's `evaluate_registration`, which without a limit would look at every pair of points."""
+    """Open3D's `evaluate_registration`, which on the CPU looks at every pair of points within the distance."""
     # Only the positions count; what else a cloud has Open3D would move as well, which it refuses for whole numbers.
     (source, seen), (target, known) = (_finite(TensorCloud(cloud.point.positions)) for cloud in (source, target))
     moved = source.clone().transform(transformation).point.positions
-    if distance < math.inf:
+    if distance < math.inf and lies_on_gpu(source):
         result = o3d.t.pipelines.registration.evaluate_registration(source, target, distance, transformation)
     else:
         index = o3d.core.nns.NearestNeighborSearch(target.point.positions)
         index.knn_index()
+        nearest, squares = index.knn_search(moved, 1)
+        nearest = nearest.to(o3d.core.int64)
+        if distance < math.inf:
+            nearest[squares >= distance * distance] = -1
         result = o3d.t.pipelines.registration.RegistrationResult()
-        result.correspondence_set = index.knn_search(moved, 1)[0].to(o3d.core.int64)
+        result.correspondence_set = nearest
     partners = result.correspondence_set.cpu().numpy().ravel()
     paired = np.flatnonzero(partners >= 0)
     result.fitness = len(paired) / len(seen)

@@ -216,16 +216,7 @@ def information_matrix(
     S. Choi, Q.-Y. Zhou, V. Koltun, Robust Reconstruction of Indoor Scenes, CVPR 2015, Section 3.
     """
     fit = evaluate_registration(source_points, target_points, max_correspondence_distance, transformation)
-    q = np.asarray(target_points, float)[fit.correspondence_set[:, 1]]
-    count, dimension = q.shape
-    if dimension == 2:
-        turning = np.stack([-q[:, 1], q[:, 0]], axis=1)[:, :, None]
-    else:
-        turning = np.zeros((count, 3, 3))
-        for row, column, coordinate, sign in ((0, 1, 2, 1), (0, 2, 1, -1), (1, 2, 0, 1)):
-            turning[:, row, column] = sign * q[:, coordinate]
-            turning[:, column, row] = -sign * q[:, coordinate]
-    jacobian = np.concatenate([turning, np.broadcast_to(np.eye(dimension), (count, dimension, dimension))], axis=2)
+    jacobian = lie.moved_by(np.asarray(target_points, float)[fit.correspondence_set[:, 1]])
     return np.einsum("nki,nkj->ij", jacobian, jacobian)
 
 

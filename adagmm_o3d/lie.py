@@ -47,6 +47,29 @@ def hat(omega: ArrayLike) -> Array:
     return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
 
 
+def moved_by(points: Array) -> Array:
+    """How points move with a left perturbation (ω, v) of the pose that puts them there: d(ω × p + v).
+
+    Parameters
+    ----------
+    points : (N, D) float64, D = 2 or 3.
+
+    Returns
+    -------
+    (N, D, 3) or (N, D, 6) float64, [−hat(p), I] in 3D.
+    """
+    count, dimension = points.shape
+    turned = np.zeros((count, dimension, 2 * dimension - 3))
+    if dimension == 2:
+        turned[:, 0, 0], turned[:, 1, 0] = -points[:, 1], points[:, 0]
+    else:
+        x, y, z = points.T
+        turned[:, 0, 1], turned[:, 0, 2] = z, -y
+        turned[:, 1, 0], turned[:, 1, 2] = -z, x
+        turned[:, 2, 0], turned[:, 2, 1] = y, -x
+    return np.concatenate([turned, np.broadcast_to(np.eye(dimension), (count, dimension, dimension))], axis=2)
+
+
 def vee(skew: ArrayLike) -> Array:
     """The inverse of `hat`; of a matrix that is not skew, that of its skew part.
 

@@ -120,6 +120,18 @@ def test_hat_is_the_cross_product(axis, vector):
     np.testing.assert_array_equal(lie.vee(lie.hat(axis)), axis)
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_how_points_move_with_a_perturbation(dimension):
+    rng = np.random.default_rng(dimension)
+    points, turns = rng.normal(size=(5, dimension)), 2 * dimension - 3
+    moves = lie.moved_by(points)
+    for j in range(turns + dimension):
+        step = 1e-7 * np.eye(turns + dimension)[j]
+        T = lie.se_exp(step)
+        moved = points @ T[:dimension, :dimension].T + T[:dimension, dimension]
+        np.testing.assert_allclose(moves[:, :, j], (moved - points) / 1e-7, rtol=0, atol=1e-6)
+
+
 def test_hat_of_the_plane_turns_x_into_y():
     np.testing.assert_array_equal(lie.hat([2.0]) @ [1.0, 0.0], [0.0, 2.0])
     np.testing.assert_array_equal(lie.vee(lie.hat([2.0])), [2.0])

@@ -15,7 +15,7 @@ from adagmm_fusion.measurements.residuals import (
     normal_equations,
     squares,
 )
-from adagmm_o3d.lie import hat
+from adagmm_o3d.lie import moved_by
 from adagmm_o3d.uncertainty.nguyen2012 import estimate_nguyen_covariances
 
 # Standard deviation of a feature's place in an image [px]; where matches say they are better, at best half of it.
@@ -82,9 +82,6 @@ class FeatureMeasurements:
         by_point = np.zeros((len(points), 2, 3))
         by_point[:, 0, 0], by_point[:, 0, 2] = k.fx / z, -k.fx * points[:, 0] / z**2
         by_point[:, 1, 1], by_point[:, 1, 2] = k.fy / z, -k.fy * points[:, 1] / z**2
-        by_pose = np.zeros((len(points), 3, 6))
-        by_pose[:, :, :3] = -np.array([hat(p) for p in points]).reshape(-1, 3, 3)
-        by_pose[:, :, 3:] = np.eye(3)
         by_source = by_point @ R
         covariances = by_source @ self._covariances[seen] @ by_source.transpose(0, 2, 1) + PIXEL**2 * np.eye(2)
         whitening = np.linalg.inv(np.linalg.cholesky(covariances))
@@ -93,4 +90,4 @@ class FeatureMeasurements:
         of_source = whitening @ by_point @ by_depth(points - t, self._matches.points[seen, 2])
         # The target's depth has no part in it.
         of_depth = np.concatenate([of_source, np.zeros_like(of_source)], axis=2)
-        return Residuals(values, whitening @ by_point @ by_pose, of_depth, points), areas
+        return Residuals(values, whitening @ by_point @ moved_by(points), of_depth, points), areas

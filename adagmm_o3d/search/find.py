@@ -155,10 +155,10 @@ def find(
     proposals = _apart(feature_poses(alike), apart_by)
     pool += _judged(judge(), _proposed(levels, proposals[:most]))
     seen_from = viewpoints[0] is not None and viewpoints[1] is not None
-    if _best_value([*near, *pool]) < (SETTLED * judge().reference if seen_from else ESTABLISHED):
+    if not _reaches([*near, *pool], SETTLED * judge().reference if seen_from else ESTABLISHED):
         laid = _apart(direction_poses(alike), apart_by)
         pool += _judged(judge(), _proposed(levels, laid[:most]), 0.0 if seen_from else HOLDS)
-    if _best_value([*near, *pool]) < ESTABLISHED:
+    if not _reaches([*near, *pool], ESTABLISHED):
         more = _proposed(levels, proposals[most : MORE * most])
         more += search_globally(levels) if first is None else search_around(levels, _others(levels, bases), first)
         if viewpoints[0] is not None and viewpoints[1] is not None:
@@ -221,8 +221,9 @@ def _ranked(candidates: list[Candidate]) -> list[Candidate]:
     return sorted(ranked, key=lambda one: -one.value)
 
 
-def _best_value(candidates: list[Candidate]) -> float:
-    return max((one.value for one in _ranked(candidates)), default=-math.inf)
+def _reaches(candidates: list[Candidate], value: float) -> bool:
+    """Whether one of them is worth so much; a value is no more than the evidence, which is known already."""
+    return any(one.value >= value for one in sorted(candidates, key=lambda one: -one.evidence) if one.evidence >= value)
 
 
 def _found(judge: Judge, near: list[Candidate], pool: list[Candidate], vouched: bool) -> Found:

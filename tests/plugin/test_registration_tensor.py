@@ -67,6 +67,19 @@ def test_a_tutorial_script_needs_only_the_functions_name_swapped(pair):
         assert errors.rotation_deg < 2.0 and errors.translation < 0.02
 
 
+def test_a_distance_as_large_as_the_cloud_makes_no_pairs_of_all_points(pair, monkeypatch):
+    """Open3D's own count looks at every pair within the distance."""
+    expected = treg.evaluate_registration(pair.source, pair.target, 10.0, core.Tensor(pair.T))
+
+    def never(*_):
+        raise AssertionError("all pairs were looked at")
+
+    monkeypatch.setattr(treg, "evaluate_registration", never)
+    result = registration_adaptive_gmm(pair.source, pair.target, 10.0)
+    assert result.fitness == expected.fitness == 1.0
+    assert result.correspondence_set.shape == expected.correspondence_set.shape
+
+
 def test_the_result_is_open3ds_and_counts_as_open3d_does(pair):
     result = registration_adaptive_gmm(pair.source, pair.target, 0.05)
     theirs = treg.icp(pair.source, pair.target, 0.05)

@@ -202,7 +202,7 @@ def _estimated(recording: Recording, scene: Any, settings: Any, folder: Path) ->
     used = [edge for edge in edges[len(scene.rig) :] if edge.usable]
     loops = sum(edge.loop_closure for edge in used)
     registered = f"registered: {len(used)} of {len(file.edges)}"
-    print(f"{registered}; may be wrong: {loops}, of which dropped as wrong: {len(dropped)}")
+    print(f"{registered}; loop closures: {loops}, of which dropped as wrong: {len(dropped)}")
     if together := sum(edge.only_together for edge in used):
         print(
             f"believed only because several say the same: {together} registrations, which join parts of the recording"

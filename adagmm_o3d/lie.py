@@ -48,7 +48,7 @@ def hat(omega: ArrayLike) -> Array:
 
 
 def moved_by(points: Array) -> Array:
-    """How points move with a left perturbation (ω, v) of the pose that puts them there: d(ω × p + v).
+    """The derivative by (ω, v) of points p that move by ω × p + v, as with a left perturbation of their pose.
 
     Parameters
     ----------

@@ -45,7 +45,8 @@ PLAUSIBLE = 0.1
 # from the right one; without viewpoints such a pose must hold so far to be taken.
 SETTLED, HOLDS = 0.5, HELD[1]
 # Clouds that hold where they were left are hardly there by chance: an end no further from its start [radii, radians] is
-# a rival, whatever explains more. Where another pose is right those that hold have come 0.45 and more (377 pairs).
+# a rival, whatever explains more, and in the plane, without a search, the one to take. Where another pose is right what
+# holds has come 0.45 and more (377 pairs).
 STAYED = 0.2
 # Where the first few proposals of features establish no pose, so many times as many are tried.
 MORE = 4
@@ -129,13 +130,14 @@ def find(
     nearby: list[End] = []
     # Where the first end is certain, an identity that nobody vouched for needs no look if the clouds lie apart there.
     apart = certain and given is None and believed is not None and judge().confidence(believed) <= 0.0
-    if believed is not None and not everywhere and (sharp or given is not None) and not apart:
+    if believed is not None and not everywhere and (sharp or given is not None or not search) and not apart:
         nearby = levels.run(levels.schedule.near, starts.near(believed), 2)
     if first is not None and not search:
         if sharp:
             # Who wants no search vouches for where it begins.
             return _found(judge(), _judged(judge(), nearby), pool, vouched=True)
-        return Found(_most_likely([first[1], *nearby]), False)
+        stayed = [end for end in nearby if _moved(end) < STAYED and end.unmatched <= 1.0 - PLAUSIBLE]
+        return Found(_most_likely(stayed or [first[1], *nearby]), False)
     if not sharp:
         # Noise hides the shape at the scale of the points: the likelihood at the noise's own scale decides.
         if first is None:
@@ -270,7 +272,7 @@ def _chosen(
     explaining = [one for one in (*near, *pool) if one.evidence > known]
     apart = [one for one in explaining if pose_distance(best.end.pose, one.end.pose) > APART_AMBIGUOUS]
     rivals += [one.end.pose for one in apart if holds(one.held, best.held)]
-    stayed = [one for one in near if known < math.inf and one.evidence > 0.0 and _moved(one) < STAYED]
+    stayed = [one for one in near if known < math.inf and one.evidence > 0.0 and _moved(one.end) < STAYED]
     stayed = [one for one in stayed if pose_distance(best.end.pose, one.end.pose) > APART_AMBIGUOUS]
     rivals += [one.end.pose for one in stayed if holds(one.held)]
     return best.end, rivals
@@ -278,12 +280,12 @@ def _chosen(
 
 def _nearest(candidates: list[Candidate]) -> Candidate:
     """To their start."""
-    return min(candidates, key=_moved)
+    return min(candidates, key=lambda one: _moved(one.end))
 
 
-def _moved(candidate: Candidate) -> float:
+def _moved(end: End) -> float:
     """From its start."""
-    return float(pose_distance(candidate.end.start, candidate.end.pose))
+    return float(pose_distance(end.start, end.pose))
 
 
 def _stay_apart(judge: Judge, pose: Array, rivals: list[Array]) -> bool:

@@ -278,6 +278,20 @@ def test_without_a_search_an_aligned_jar_stays_so_though_a_bulge_on_all_of_it_me
         assert errors.rotation_deg < 8.0 and errors.translation < 0.02, (seed, errors)
 
 
+def test_without_a_search_an_aligned_outline_stays_so_though_a_petal_on_all_of_it_meets():
+    method = TransformationEstimationForAdaptiveGMM(search=False)
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        angles = rng.uniform((0.0, 1.2), (2.6, 3.8), (400, 2)).T
+        outlines = [(1.0 + 0.1 * np.cos(5.0 * a))[:, None] * np.stack([np.cos(a), np.sin(a)], axis=1) for a in angles]
+        source, target = (outline + 0.004 * rng.normal(size=outline.shape) for outline in outlines)
+        for init in (None, np.eye(3)):
+            errors = pose_errors(
+                np.eye(3), register_points(source, target, init=init, estimation_method=method).transformation
+            )
+            assert errors.rotation_deg < 1.0 and errors.translation < 0.02, (seed, errors)
+
+
 def rooms_ends(seed):
     """A room with four boxes, of which either cloud lacks another end, and the pose of 3° between them. Turned by half
     a turn all walls come together."""

@@ -44,10 +44,11 @@ PLAUSIBLE = 0.1
 # that face alike are laid on each other as well. Walls and floors do that in many wrong ways, which free space tells
 # from the right one; without viewpoints such a pose must hold so far to be taken.
 SETTLED, HOLDS = 0.5, HELD[1]
-# Clouds that hold where they were left are hardly there by chance: an end no further from its start [radii, radians] is
-# a rival, whatever explains more, and in the plane, without a search, the one to take. Where another pose is right what
-# holds has come 0.45 and more (377 pairs).
-STAYED = 0.2
+# Clouds that mostly hold where they were left are hardly there by chance: an end no further from its start [radii,
+# radians] that holds so far is a rival, whatever explains more, and where somebody vouched for the start it is taken.
+# In the plane, where nothing is known of what holds, only without a search. Where another pose is right none does
+# (377 pairs).
+STAYED, STAYS = 0.2, 0.65
 # Where the first few proposals of features establish no pose, so many times as many are tried.
 MORE = 4
 # What is assumed of points without a partner where σ begins anew.
@@ -230,7 +231,7 @@ def _reaches(candidates: list[Candidate], value: float) -> bool:
 
 def _found(judge: Judge, near: list[Candidate], pool: list[Candidate], vouched: bool) -> Found:
     known = judge.known(max(one.evidence for one in (*near, *pool)))
-    chosen, rivals = _chosen(near, pool, known, 0.0 if vouched and known < math.inf else known)
+    chosen, rivals = _chosen(near, pool, known, vouched=vouched)
     # To stay in the nearest optimum σ was forced down, maybe below the noise, where chance decides who is a partner of
     # whom.
     sigma, unmatched = max(chosen.sigma, judge.sigma), min(chosen.unmatched, FRESH_UNMATCHED)
@@ -238,12 +239,10 @@ def _found(judge: Judge, near: list[Candidate], pool: list[Candidate], vouched: 
     return Found(end, _stay_apart(judge, end.pose, rivals))
 
 
-def _chosen(
-    near: list[Candidate], pool: list[Candidate], known: float, at_start_known: float
-) -> tuple[End, list[Array]]:
+def _chosen(near: list[Candidate], pool: list[Candidate], known: float, *, vouched: bool) -> tuple[End, list[Array]]:
     """The best of all, or the nearest to the given start of those near it that hold no less, or may be right, or to
-    which none is clearly better; and its rivals. Evidence above `known` may be a right pose's, near the start above
-    `at_start_known`."""
+    which none is clearly better; and its rivals. Evidence above `known` may be a right pose's, near a start that was
+    `vouched` for all above zero where that is finite."""
     ranked = _ranked([*near, *pool])
     best = ranked[0]
     at_start = next((one for one in ranked if one in near), None)
@@ -251,10 +250,15 @@ def _chosen(
     # ways that explain more than the right one; but they hold less. Not beside what is certain, or what colours say.
     more = best.held + ALIKE_HELD if best in near else best.held
     right = [one for one in near if known < math.inf and one.evidence > 0.0 and one.held >= more]
+    stayed = [one for one in near if known < math.inf and one.evidence > 0.0 and _moved(one.end) < STAYED]
+    stayed = [one for one in stayed if one.held >= STAYS]
     if best in near:
         right.append(best)
     else:
-        right += [one for one in near if one.evidence > at_start_known and holds(one.held) and one not in right]
+        least = 0.0 if vouched and known < math.inf else known
+        right += [one for one in near if one.evidence > least and holds(one.held) and one not in right]
+        if vouched:
+            right += [one for one in stayed if one not in right]
     if right:
         best = _nearest(right)
     elif at_start is not None:
@@ -272,9 +276,7 @@ def _chosen(
     explaining = [one for one in (*near, *pool) if one.evidence > known]
     apart = [one for one in explaining if pose_distance(best.end.pose, one.end.pose) > APART_AMBIGUOUS]
     rivals += [one.end.pose for one in apart if holds(one.held, best.held)]
-    stayed = [one for one in near if known < math.inf and one.evidence > 0.0 and _moved(one.end) < STAYED]
-    stayed = [one for one in stayed if pose_distance(best.end.pose, one.end.pose) > APART_AMBIGUOUS]
-    rivals += [one.end.pose for one in stayed if holds(one.held)]
+    rivals += [one.end.pose for one in stayed if pose_distance(best.end.pose, one.end.pose) > APART_AMBIGUOUS]
     return best.end, rivals
 
 

@@ -1,5 +1,6 @@
 """`adagmm-fusion fuse` with several sensors, standing still or on one moving rig, and with long recordings."""
 
+import re
 import weakref
 
 import numpy as np
@@ -32,10 +33,12 @@ T_RIG_SENSOR = {"left": np.eye(4), "right": se_inverse(camera_pose(0.0)) @ camer
 T_WORLD_RIG = [camera_pose(6.0 * i, (0.03 * i, 0.05 * i, 1.2)) for i in range(3)]
 
 
-def write_rig_recording(folder, poses, *, motion, known=True):
+def write_rig_recording(folder, poses, *, motion, known=True, off=(0.0,) * 6):
+    """off : a twist by which the rig file has the right camera elsewhere."""
+    said = T_RIG_SENSOR | {"right": lie.se_exp(off) @ T_RIG_SENSOR["right"]}
     sensors = {
         name: SensorCalibration(name, INTRINSICS, 1000.0, T if known or name == "left" else None)
-        for name, T in T_RIG_SENSOR.items()
+        for name, T in said.items()
     }
     save_rig(folder / "rig.yaml", Rig("rig", sensors, "two cameras"))
     lines = ["format: adagmm-recording", "version: 1", 'name: "rig"', "rig: rig.yaml", f"motion: {motion}"]
@@ -70,6 +73,7 @@ def test_a_moving_rig_is_fused_as_a_whole(tmp_path, capsys):
     assert main(["fuse", str(folder), *arguments]) == 0
     said = capsys.readouterr().out
     assert "known from the rig: 3 poses" in said and ", 6 frames, " in said and "left out" not in said
+    assert "does not fit" not in said
     left, right = (trajectory(out / f"trajectory_{name}.txt") for name in ("left", "right"))
     assert len(left) == len(right) == 3
     for i in range(3):
@@ -77,6 +81,18 @@ def test_a_moving_rig_is_fused_as_a_whole(tmp_path, capsys):
         assert between.rotation_deg < 0.1 and between.translation < 0.005  # the rig holds
         moved = pose_errors(se_inverse(T_WORLD_RIG[0]) @ T_WORLD_RIG[i], se_inverse(left[0]) @ left[i])
         assert moved.rotation_deg < 1.5 and moved.translation < 0.06
+
+
+@pytest.mark.slow
+def test_a_moving_rig_whose_file_is_wrong_is_said_to_be(tmp_path, capsys):
+    way = [camera_pose(3.0 * i, (0.03 * i, 0.02 * i, 1.2)) for i in range(5)]
+    folder = write_rig_recording(tmp_path / "rig", way, motion="moving", off=(0.0, 0.12, 0.0, 0.0, 0.0, 0.0))
+    arguments = ["--output", str(tmp_path / "out"), "--voxel-size", "0.03", "--device", "cpu", "--mesh", "ply"]
+    assert main(["fuse", str(folder), *arguments, "--no-rerun"]) == 0
+    said = re.findall(
+        r"note: the rig's pose of (\w+ to \w+) does not fit: registered it is ([\d.]+)°", capsys.readouterr().out
+    )
+    assert [sensors for sensors, _ in said] == ["right to left"] and 5.0 < float(said[0][1]) < 9.0
 
 
 def test_a_moving_rig_with_unknown_extrinsics_registers_its_sensors(tmp_path):

@@ -134,7 +134,7 @@ def end_from(pose):
 def test_a_start_where_the_clouds_rather_lie_apart_is_left_for_a_pose_where_they_overlap(at_start, elsewhere, left):
     all_holds = SimpleNamespace(held=lambda pose: 1.0)
     near = find.Candidate(all_holds, end_at(np.eye(4)), at_start)
-    chosen = find._chosen([near], [find.Candidate(all_holds, end_at(THERE), elsewhere)], 0.5, 0.5)[0]
+    chosen = find._chosen([near], [find.Candidate(all_holds, end_at(THERE), elsewhere)], 0.5, vouched=False)[0]
     np.testing.assert_array_equal(chosen.pose, THERE if left else np.eye(4))
 
 
@@ -150,7 +150,7 @@ def test_of_a_pose_of_more_evidence_that_holds_less_the_other_is_taken(held_ther
     pool = [
         find.Candidate(judge, end_at(pose), value) for pose, value in ((THERE, 0.3), (np.eye(4), 0.1), (hopeless, -1.0))
     ]
-    end, rivals = find._chosen([], pool, 0.5, 0.5)
+    end, rivals = find._chosen([], pool, 0.5, vouched=False)
     np.testing.assert_array_equal(end.pose, chosen)
     assert len(asked) == 2  # whether a pose of too little evidence holds changes nothing
     # one that explains as much is a rival, whether or not it holds
@@ -161,7 +161,7 @@ def test_a_pose_that_must_hold_and_does_not_is_a_rival_only():
     half_holds = SimpleNamespace(held=lambda pose: 0.5)
     pool = [find.Candidate(half_holds, end_at(np.eye(4)), 0.5), find.Candidate(half_holds, end_at(THERE), 0.5, 0.95)]
     for candidates in (pool, pool[::-1]):
-        end, rivals = find._chosen([], candidates, 1.0, 1.0)
+        end, rivals = find._chosen([], candidates, 1.0, vouched=False)
         np.testing.assert_array_equal([end.pose, *rivals], [np.eye(4), THERE])
 
 
@@ -170,7 +170,7 @@ def test_of_poses_near_the_start_that_explain_the_same_the_nearest_is_taken():
     slid = se_exp(np.array([0.0, 0.0, 0.0, 0.2, 0.0, 0.0]))
     for better, taken in ((0.02, np.eye(4)), (0.2, slid)):
         near = [find.Candidate(holds, end_at(np.eye(4)), 1.0), find.Candidate(holds, end_from(slid), 1.0 + better)]
-        np.testing.assert_array_equal(find._chosen(near, [], 1.0, 1.0)[0].pose, taken)
+        np.testing.assert_array_equal(find._chosen(near, [], 1.0, vouched=False)[0].pose, taken)
 
 
 @pytest.mark.parametrize(
@@ -189,7 +189,7 @@ def test_a_start_that_may_be_right_is_kept_though_elsewhere_more_is_explained(at
     judge = SimpleNamespace(held=lambda pose: 1.0 if np.array_equal(pose, THERE) else held)
     came = end_at(np.eye(4))._replace(start=se_exp(np.array([0.0, 0.0, 0.0, 0.3, 0.0, 0.0])))
     near, there = find.Candidate(judge, came, at_start), find.Candidate(judge, end_at(THERE), 1.5)
-    end, rivals = find._chosen([near], [there], 0.5, 0.0 if vouched else 0.5)
+    end, rivals = find._chosen([near], [there], 0.5, vouched=vouched)
     np.testing.assert_array_equal(end.pose, np.eye(4) if kept else THERE)
     assert all(np.array_equal(rival, THERE) for rival in rivals) and bool(rivals) == kept
 
@@ -204,22 +204,32 @@ def test_a_pose_that_explains_as_much_as_halves_of_a_cloud_do_is_a_rival_of_one_
         find.Candidate(judge, end_at(pose), value)
         for pose, value in ((np.eye(4), 1.5), (THERE, evidence), (close, 0.9))
     ]
-    end, rivals = find._chosen([], pool, 0.5, 0.5)
+    end, rivals = find._chosen([], pool, 0.5, vouched=False)
     np.testing.assert_array_equal(end.pose, np.eye(4))
     assert len(rivals) == rival and all(np.array_equal(one, THERE) for one in rivals)
 
 
 @pytest.mark.parametrize(
     "evidence, held, moved, rival",
-    [(0.3, 0.97, 0.1, True), (0.3, 0.97, 0.4, False), (0.3, 0.8, 0.1, False), (-0.1, 0.97, 0.1, False)],
+    [(0.3, 0.97, 0.1, True), (0.3, 0.97, 0.4, False), (0.3, 0.6, 0.1, False), (-0.1, 0.97, 0.1, False)],
 )
 def test_a_pose_that_holds_where_the_clouds_were_left_is_a_rival_whatever_explains_more(evidence, held, moved, rival):
     pose = se_exp(np.array([0.0, 0.0, 0.0, moved, 0.0, 0.0]))
     judge = SimpleNamespace(held=lambda at: held if np.array_equal(at, pose) else 1.0)
     near, there = find.Candidate(judge, end_from(pose), evidence), find.Candidate(judge, end_at(THERE), 1.5)
-    end, rivals = find._chosen([near], [there], 0.5, 0.5)
+    end, rivals = find._chosen([near], [there], 0.5, vouched=False)
     np.testing.assert_array_equal(end.pose, THERE)
     assert len(rivals) == rival and all(np.array_equal(one, pose) for one in rivals)
+
+
+@pytest.mark.parametrize("vouched, moved, kept", [(True, 0.1, True), (True, 0.4, False), (False, 0.1, False)])
+def test_a_given_start_that_stays_and_mostly_holds_is_kept_with_a_rival(vouched, moved, kept):
+    pose = se_exp(np.array([0.0, 0.0, 0.0, moved, 0.0, 0.0]))
+    judge = SimpleNamespace(held=lambda at: 0.7 if np.array_equal(at, pose) else 0.92)
+    near, there = find.Candidate(judge, end_from(pose), 0.6), find.Candidate(judge, end_at(THERE), 1.8)
+    end, rivals = find._chosen([near], [there], 1.4, vouched=vouched)
+    np.testing.assert_array_equal(end.pose, pose if kept else THERE)
+    assert bool(rivals) == (moved < find.STAYED)
 
 
 @pytest.mark.parametrize("held, nearer", [(1.0, True), (0.9, False)])
@@ -227,9 +237,9 @@ def test_a_pose_nearer_to_the_start_that_explains_less_is_taken_if_it_holds_more
     slid = se_exp(np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0]))
     judge = SimpleNamespace(held=lambda pose: held if np.array_equal(pose, np.eye(4)) else 0.9)
     near = [find.Candidate(judge, end_from(pose), value) for pose, value in ((np.eye(4), 0.5), (slid, 0.8))]
-    end, rivals = find._chosen(near, [], 1.0, 1.0)
+    end, rivals = find._chosen(near, [], 1.0, vouched=False)
     np.testing.assert_array_equal(end.pose, np.eye(4) if nearer else slid)
-    assert len(rivals) == nearer
+    assert len(rivals) == 1  # the other explains more, or holds where the clouds were left
 
 
 def stairs(rng, n):

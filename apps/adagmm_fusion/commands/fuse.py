@@ -174,6 +174,7 @@ def _estimated(recording: Recording, scene: Any, settings: Any, folder: Path) ->
     from dataclasses import asdict
 
     from adagmm_fusion.commands.progress import staged_progress_bar
+    from adagmm_fusion.rigs.checking import rig_notes
     from adagmm_fusion.sequence.edge_file import EdgeFile
     from adagmm_fusion.sequence.joining import joined
     from adagmm_fusion.sequence.pose_graph import connected_sets, optimized_poses
@@ -211,6 +212,8 @@ def _estimated(recording: Recording, scene: Any, settings: Any, folder: Path) ->
         print(f"frames that hang together: sets of {', '.join(str(len(s)) for s in sets)}; the first is fused")
     if scene.rig:
         print(f"known from the rig: {len(scene.rig)} poses between its sensors")
+        for note in rig_notes(recording, settings):
+            print(printable(f"note: {note}"))
     for sensor, path in _trajectory_files(recording, folder):
         of_sensor = {index: pose for index, pose in poses.items() if entries[index].sensor == sensor}
         if scene.paths and of_sensor:

@@ -1,6 +1,6 @@
 """Is a rig's calibration still true? The clouds of its sensors registered again, starting from what it says."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,8 @@ UNCHANGED, MOVED, UNDECIDED = "unchanged", "moved", "undecided"
 # The true mean is taken to lie within this many standard errors of the mean over frames.
 STANDARD_ERRORS = 2.0
 MIN_FRAMES = 2
+# Moments of each two sensors at which a recording's own rig is looked at.
+LOOKED_AT = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,11 +79,7 @@ def check_rig(
     RigError  if the rig lacks a sensor or does not know where it is.
     RecordingError  if the recording has no pair of two sensors at one moment.
     """
-    by_sensors: dict[tuple[str, str], list[int]] = {}
-    for i, pair in enumerate(recording.pairs):
-        source, target = recording.entries[pair.source], recording.entries[pair.target]
-        if source.sensor != target.sensor and source.name == target.name:
-            by_sensors.setdefault((source.sensor, target.sensor), []).append(i)
+    by_sensors = _at_one_moment(recording)
     if not by_sensors:
         raise RecordingError(f"{recording.path}: expected frames of two sensors at one moment, got none; see --help")
     poses = {sensors: rig.T_target_source(sensors[1], sensors[0]) for sensors in by_sensors}
@@ -96,6 +94,31 @@ def check_rig(
                 on_frame(done, total)
         checks.append(judged(*sensors, frames, poses[sensors], max_rotation_deg, max_translation_mm))
     return checks
+
+
+def rig_notes(recording: Recording, settings: Settings) -> Iterator[str]:
+    """A line for every two sensors that, registered, are elsewhere than the recording says, beyond the settings' limits
+    of success: no sensor's pose is to be taken for known then."""
+    for (source, target), indices in _at_one_moment(recording).items():
+        T_rig = recording.pairs[indices[0]].T_target_source
+        if T_rig is None:
+            continue
+        frames = [_check_frame(recording, index, T_rig, settings) for index in spread_over(indices, LOOKED_AT)]
+        limits = settings.max_rotation_error_deg, settings.max_translation_error_mm
+        check = judged(source, target, frames, T_rig, *limits)
+        if check.verdict == MOVED:
+            off = f"{check.rotation_deg:.1f}° and {check.translation_mm:.0f} mm"
+            yield f"the rig's pose of {source} to {target} does not fit: registered it is {off} off; see verify"
+
+
+def _at_one_moment(recording: Recording) -> dict[tuple[str, str], list[int]]:
+    """The pairs of each two sensors (source, target) at one moment, as indices into recording.pairs."""
+    by_sensors: dict[tuple[str, str], list[int]] = {}
+    for i, pair in enumerate(recording.pairs):
+        source, target = recording.entries[pair.source], recording.entries[pair.target]
+        if source.sensor != target.sensor and source.name == target.name:
+            by_sensors.setdefault((source.sensor, target.sensor), []).append(i)
+    return by_sensors
 
 
 def spread_over(indices: list[int], count: int) -> list[int]:
@@ -151,7 +174,11 @@ def _check_frame(recording: Recording, index: int, T_rig: np.ndarray, settings: 
             max_depth=settings.max_depth_m,
         )
         distance = partner_distance(target, settings.partner_distance_m)
-        result = registration_adaptive_gmm(source, target, distance, T_rig, device=settings.device).details
+        # The clouds are in their cameras' frames.
+        at = np.zeros(3)
+        result = registration_adaptive_gmm(
+            source, target, distance, T_rig, device=settings.device, source_viewpoint=at, target_viewpoint=at
+        ).details
     except AdaGMMError as problem:
         return FrameCheck(frame, reason=" ".join(str(problem).split()))
     if not result.trustworthy:

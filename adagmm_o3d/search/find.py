@@ -44,10 +44,10 @@ PLAUSIBLE = 0.1
 # that face alike are laid on each other as well. Walls and floors do that in many wrong ways, which free space tells
 # from the right one; without viewpoints such a pose must hold so far to be taken.
 SETTLED, HOLDS = 0.5, HELD[1]
-# Clouds that mostly hold where they were left are hardly there by chance: an end no further from its start [radii,
-# radians] that holds so far is a rival, whatever explains more, and where somebody vouched for the start it is taken.
-# In the plane, where nothing is known of what holds, only without a search. Where another pose is right none does
-# (377 pairs).
+# Clouds that hold where they were left are hardly there by chance: an end no further from its start [radii, radians]
+# is a rival, whatever explains more; and where somebody vouched for the start it is taken if so much holds. In the
+# plane, where nothing is known of what holds, only without a search. Where another pose is right none does (377
+# pairs).
 STAYED, STAYS = 0.2, 0.65
 # Where the first few proposals of features establish no pose, so many times as many are tried.
 MORE = 4
@@ -251,7 +251,7 @@ def _chosen(near: list[Candidate], pool: list[Candidate], known: float, *, vouch
     more = best.held + ALIKE_HELD if best in near else best.held
     right = [one for one in near if known < math.inf and one.evidence > 0.0 and one.held >= more]
     stayed = [one for one in near if known < math.inf and one.evidence > 0.0 and _moved(one.end) < STAYED]
-    stayed = [one for one in stayed if one.held >= STAYS]
+    stayed = [one for one in stayed if (one.held >= STAYS if vouched else holds(one.held))]
     if best in near:
         right.append(best)
     else:
@@ -276,8 +276,9 @@ def _chosen(near: list[Candidate], pool: list[Candidate], known: float, *, vouch
     explaining = [one for one in (*near, *pool) if one.evidence > known]
     apart = [one for one in explaining if pose_distance(best.end.pose, one.end.pose) > APART_AMBIGUOUS]
     rivals += [one.end.pose for one in apart if holds(one.held, best.held)]
-    rivals += [one.end.pose for one in stayed if pose_distance(best.end.pose, one.end.pose) > APART_AMBIGUOUS]
-    return best.end, rivals
+    # What slid a little from where the best is too is no other place.
+    elsewhere = [one for one in stayed if pose_distance(one.end.start, best.end.pose) > APART_AMBIGUOUS]
+    return best.end, rivals + [one.end.pose for one in elsewhere]
 
 
 def _nearest(candidates: list[Candidate]) -> Candidate:

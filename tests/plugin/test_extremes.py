@@ -171,7 +171,7 @@ def test_three_points_against_very_many(cloud, rule):
 def test_one_point_against_very_many(dimension):
     many = bumpy(np.random.default_rng(2), 100_000, dimension)
     for clouds, name in (((many[:1], many), "source"), ((many, many[:1]), "target")):
-        with pytest.raises(DegenerateError, match=rf"^{name}\.points: 1 points cannot fix a pose"):
+        with pytest.raises(DegenerateError, match=rf"^{name}\.points: 1 point cannot fix a pose"):
             register_points(*clouds)
 
 

@@ -105,7 +105,7 @@ def registered(cloud, voxel_sizes, criteria_list, distances):
         (([0.2, "0.1"], [None] * 2, [0.2] * 2), InputTypeError, "voxel_sizes[1]: expected a real number, got str"),
         (([0.1], [30], [0.2]), InputTypeError, "criteria_list[0]: expected Open3D's ICPConvergenceCriteria, got int"),
         (([0.1], [None], [0.0]), InputError, "max_correspondence_distances[0]: expected a finite number > 0, got 0"),
-        (([100.0], [None], [0.1]), DegenerateError, "source.points: 1 points cannot fix a pose; at least 3 are needed"),
+        (([100.0], [None], [0.1]), DegenerateError, "source.points: 1 point cannot fix a pose; at least 3 are needed"),
     ],
 )
 def test_lists_that_cannot_be_meant(lists, error, message):

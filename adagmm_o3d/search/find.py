@@ -249,8 +249,9 @@ def _chosen(near: list[Candidate], pool: list[Candidate], known: float, *, vouch
     # Where clouds share little or shapes repeat themselves, walls come together and shelves fall on shelves in wrong
     # ways that explain more than the right one; but they hold less. Not beside what is certain, or what colours say.
     more = best.held + ALIKE_HELD if best in near else best.held
-    right = [one for one in near if known < math.inf and one.evidence > 0.0 and one.held >= more]
-    stayed = [one for one in near if known < math.inf and one.evidence > 0.0 and _moved(one.end) < STAYED]
+    plausible = [one for one in near if known < math.inf and one.evidence > 0.0]
+    right = [one for one in plausible if one.held >= more]
+    stayed = [one for one in plausible if _moved(one.end) < STAYED]
     stayed = [one for one in stayed if (one.held >= STAYS if vouched else holds(one.held))]
     if best in near:
         right.append(best)

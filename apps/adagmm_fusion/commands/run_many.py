@@ -20,6 +20,7 @@ from adagmm_fusion.pairs.joint_report import RecordingSummary, joint_markdown, w
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.processes.task_pool import TaskFailure, run_tasks
 from adagmm_fusion.processes.terminal import printable
+from adagmm_fusion.recordings.opening import recordings_inside
 from adagmm_fusion.rerun_log.joint_recording import save_joint_recording
 
 
@@ -51,9 +52,7 @@ def recordings_in(path: str | Path) -> list[Path]:
     """
     folder = Path(path)
     try:
-        if not folder.is_dir() or _is_recording(folder):
-            return []
-        return [child for child in sorted(folder.iterdir()) if child.is_dir() and _is_recording(child)]
+        return recordings_inside(folder) if folder.is_dir() and not matching(folder) else []
     except OSError as problem:
         raise RecordingError(f"{folder}: cannot be read: {problem.strerror}") from problem
 
@@ -128,10 +127,6 @@ def _for_one(args: argparse.Namespace, recording: Path, output: Path) -> argpars
     one = copy.copy(args)
     one.recording, one.output = str(recording.resolve()), str((output / recording.name).resolve())
     return one
-
-
-def _is_recording(folder: Path) -> bool:
-    return bool(matching(folder))
 
 
 def _text(words: str) -> Text:

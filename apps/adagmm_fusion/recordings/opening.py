@@ -14,7 +14,7 @@ from adagmm_o3d.errors import InputError
 # Of a folder that is no recording, so many entries are looked at, and so many subfolders tried.
 MOST_LISTED, MOST_TRIED = 10_000, 100
 
-__all__ = ["FORMATS", "FrameEntry", "FrameSequence", "PairEntry", "Recording", "open_recording"]
+__all__ = ["FORMATS", "FrameEntry", "FrameSequence", "PairEntry", "Recording", "open_recording", "recordings_inside"]
 
 
 def open_recording(
@@ -60,18 +60,16 @@ def _detect(path: Path) -> str:
         return found[0]
     if found:
         raise RecordingError(f"{path}: could be {' or '.join(found)}; say which with format")
-    if inside := _recordings_inside(path):
+    if inside := [] if path.is_file() else recordings_inside(path, MOST_LISTED, MOST_TRIED):
         more = " and others" if len(inside) > 1 else ""
         raise RecordingError(f"{path}: not a recording itself; name one of those in it, {inside[0]}{more}")
     raise RecordingError(f"{path}: not a recording of a known format; {_what_is_there(path)}; see recordings/README.md")
 
 
-def _recordings_inside(path: Path) -> list[Path]:
-    """The recordings among the first subfolders."""
-    if path.is_file():
-        return []
-    folders = (child for child in sorted(islice(path.iterdir(), MOST_LISTED)) if child.is_dir())
-    return [child for child in islice(folders, MOST_TRIED) if matching(child)]
+def recordings_inside(folder: Path, listed: int | None = None, tried: int | None = None) -> list[Path]:
+    """The recordings among a folder's subfolders: among so many of its entries and so many subfolders; None for all."""
+    folders = (child for child in sorted(islice(folder.iterdir(), listed)) if child.is_dir())
+    return [child for child in islice(folders, tried) if matching(child)]
 
 
 def _what_is_there(path: Path) -> str:

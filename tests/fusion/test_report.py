@@ -164,7 +164,7 @@ def test_reports_are_written_and_replaced(tmp_path):
 
 def test_a_report_that_cannot_be_written_is_an_error_of_ours(tmp_path):
     (tmp_path / "file").write_text("in the way")
-    with pytest.raises(OutputError, match=r"report\.md"):
+    with pytest.raises(OutputError, match=r"report\.json"):
         write_report(tmp_path / "file", report(GOOD))
 
 

@@ -5,9 +5,16 @@ import json
 import pytest
 
 from adagmm_fusion.errors import OutputError
-from adagmm_fusion.files.stale_results import remove_files, remove_untouched, results_of_report, states_of
-
-SCHEMA = "adagmm-fusion-report"
+from adagmm_fusion.files.stale_results import (
+    JOINT_SCHEMA,
+    REPORTS,
+    SCHEMA,
+    check_not_foreign,
+    remove_files,
+    remove_untouched,
+    results_of_report,
+    states_of,
+)
 
 
 def names(folder) -> set[str]:
@@ -28,7 +35,7 @@ def report(folder, results: dict, schema: str = SCHEMA) -> None:
 def test_what_the_report_names_goes_and_what_it_does_not_stays(tmp_path):
     write_all(tmp_path, ["fused/a.ply", "fused/a.glb", "fused/mine.ply", "rig.yaml", "room.rrd", "notes.txt"])
     report(tmp_path, {"cloud": "fused/a.ply", "mesh": "fused/a.glb", "rig": "rig.yaml", "rerun": "room.rrd"})
-    remove_files(tmp_path, results_of_report(tmp_path, SCHEMA))
+    remove_files(tmp_path, results_of_report(tmp_path))
     assert names(tmp_path) == {"fused/mine.ply", "notes.txt"}
 
 
@@ -40,7 +47,7 @@ def test_a_report_that_names_something_else_is_not_believed(tmp_path, name):
     write_all(tmp_path, ["victim.ply"])
     write_all(folder, ["notes.txt", "fused/x/a.ply"])
     report(folder, {"x": name})
-    remove_files(folder, results_of_report(folder, SCHEMA))
+    remove_files(folder, results_of_report(folder))
     assert names(tmp_path) == {"victim.ply", "out/notes.txt", "out/fused/x/a.ply"}
 
 
@@ -50,7 +57,7 @@ def test_a_report_that_names_something_else_is_not_believed(tmp_path, name):
 def test_another_report_is_left_or_only_replaced(tmp_path, content):
     write_all(tmp_path, ["fused/a.ply"])
     (tmp_path / "report.json").write_text(content)
-    remove_files(tmp_path, results_of_report(tmp_path, SCHEMA))
+    remove_files(tmp_path, results_of_report(tmp_path))
     assert "fused/a.ply" in names(tmp_path)
 
 
@@ -60,7 +67,7 @@ def test_links_are_not_followed(tmp_path):
     folder.mkdir()
     (folder / "fused").symlink_to(tmp_path / "elsewhere")
     report(folder, {"x": "fused/a.ply"})
-    remove_files(folder, results_of_report(folder, SCHEMA))
+    remove_files(folder, results_of_report(folder))
     assert (tmp_path / "elsewhere" / "a.ply").is_file()
 
 
@@ -84,3 +91,20 @@ def test_what_was_written_anew_stays(tmp_path):
     (tmp_path / "later.ply").write_text("later")
     remove_untouched(tmp_path, earlier)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["later.ply", "new.ply"]
+
+
+@pytest.mark.parametrize("name", [*REPORTS, "rig.yaml"])
+def test_somebody_elses_file_is_not_replaced(tmp_path, name):
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(OutputError, match=rf"{name}: is there already, and no earlier run has left it; move it, or"):
+        check_not_foreign(tmp_path, [*REPORTS, "rig.yaml"], results_of_report(tmp_path))
+
+
+@pytest.mark.parametrize("schema", [SCHEMA, JOINT_SCHEMA])
+def test_what_an_earlier_run_has_left_is_replaced(tmp_path, schema):
+    report(tmp_path, {"rig": "rig.yaml"}, schema)
+    (tmp_path / "rig.yaml").write_text("x")
+    check_not_foreign(tmp_path, [*REPORTS, "rig.yaml"], results_of_report(tmp_path))
+    report(tmp_path, {}, schema)
+    with pytest.raises(OutputError, match=r"rig\.yaml: is there already"):
+        check_not_foreign(tmp_path, [*REPORTS, "rig.yaml"], results_of_report(tmp_path))

@@ -173,7 +173,7 @@ def _estimated(recording: Recording, scene: Any, settings: Any, folder: Path) ->
     """
     from dataclasses import asdict
 
-    from adagmm_fusion.commands.progress import staged_progress_bar
+    from adagmm_fusion.commands.progress import progress_bar, staged_progress_bar
     from adagmm_fusion.rigs.checking import rig_notes
     from adagmm_fusion.sequence.edge_file import EdgeFile
     from adagmm_fusion.sequence.joining import joined
@@ -212,7 +212,9 @@ def _estimated(recording: Recording, scene: Any, settings: Any, folder: Path) ->
         print(f"frames that hang together: sets of {', '.join(str(len(s)) for s in sets)}; the first is fused")
     if scene.rig:
         print(f"known from the rig: {len(scene.rig)} poses between its sensors")
-        for note in rig_notes(recording, settings):
+        with progress_bar("looking at the rig") as on_frame:
+            notes = list(rig_notes(recording, settings, on_frame))
+        for note in notes:
             print(printable(f"note: {note}"))
     for sensor, path in _trajectory_files(recording, folder):
         of_sensor = {index: pose for index, pose in poses.items() if entries[index].sensor == sensor}

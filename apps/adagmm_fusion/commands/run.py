@@ -13,14 +13,20 @@ from adagmm_fusion.commands.progress import progress
 from adagmm_fusion.errors import OutputError, one_line
 from adagmm_fusion.files.atomic_file import check_output_file
 from adagmm_fusion.files.output_folder import check_apart, exclusive
-from adagmm_fusion.files.stale_results import remove_untouched, results_of_report, states_of
+from adagmm_fusion.files.stale_results import (
+    REPORTS,
+    check_not_foreign,
+    remove_untouched,
+    results_of_report,
+    states_of,
+)
 from adagmm_fusion.frames.rgbd import RGBDPair
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh, save_textured_mesh
 from adagmm_fusion.pairs.fusion import RigEstimate, fused_cloud, fused_mesh, save_cloud
 from adagmm_fusion.pairs.pipeline import PairOutcome, compile_kernels, run_pairs
 from adagmm_fusion.pairs.plausibility import recording_warnings
 from adagmm_fusion.pairs.record import PairRecord, pair_record
-from adagmm_fusion.pairs.report import FULL_WIDTH, SCHEMA, Report, terminal_table, write_report
+from adagmm_fusion.pairs.report import FULL_WIDTH, Report, terminal_table, write_report
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.processes.interruption import exit_code
 from adagmm_fusion.processes.terminal import printable, table_console
@@ -73,9 +79,10 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
     failure: Exception | None = None
     with contextlib.ExitStack() as stack:
         stack.enter_context(exclusive(folder))
-        for name in ("report.md", "report.json", "rig.yaml"):
+        for name in (*REPORTS, "rig.yaml"):
             check_output_file(folder / name)
-        earlier = states_of(folder, results_of_report(folder, SCHEMA))
+        earlier = states_of(folder, results_of_report(folder))
+        check_not_foreign(folder, (*REPORTS, "rig.yaml"), earlier)
         viewing = stack.enter_context(contextlib.ExitStack())
         viewer = None if args.no_rerun else viewing.enter_context(_viewer(args, recording, settings, len(indices)))
         display = stack.enter_context(progress())
@@ -126,9 +133,9 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
             notes=notes,
             results=results,
         )
+        paths = write_report(folder, report)
         if rig is not None:
             save_rig(folder / "rig.yaml", rig)
-        paths = write_report(folder, report)
         remove_untouched(folder, earlier)
         # Whoever has hung up reads no more of it.
         with contextlib.nullcontext() if stopped is None else contextlib.suppress(OSError):

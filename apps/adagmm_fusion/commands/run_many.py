@@ -15,6 +15,7 @@ from rich.text import Text
 
 from adagmm_fusion.commands.run import run, verdict
 from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.files.stale_results import REPORTS, check_not_foreign, results_of_report
 from adagmm_fusion.formats import matching
 from adagmm_fusion.pairs.joint_report import RecordingSummary, joint_markdown, write_joint_report
 from adagmm_fusion.pairs.settings import Settings
@@ -70,6 +71,7 @@ def run_many(recordings: list[Path], args: argparse.Namespace, settings: Setting
         if value is not None:
             raise RecordingError(f"{args.recording}: a folder of {len(recordings)} recordings; {option} is for one")
     output = Path(args.output) if args.output else Path("output") / Path(args.recording).resolve().name
+    check_not_foreign(output, REPORTS, results_of_report(output))
     tasks = {path.name: RecordingTask(_for_one(args, path, output), settings) for path in recordings}
     results = dict(run_tasks(run_recording, tasks, workers=args.workers, scheduler=args.scheduler))
     headings = map(_text, ("recording", "ok", "pairs", "median [°]", "median [mm]"))

@@ -1,8 +1,9 @@
 """What an earlier run has left in a folder of results: it goes once the next one has written its own there."""
 
 import json
+import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
 from adagmm_fusion.errors import OutputError
@@ -11,17 +12,32 @@ from adagmm_o3d.errors import AdaGMMError, InputError
 
 # What a run may have written, relative to its folder. A report that names anything else is not believed.
 RESULT = re.compile(r"(fused/[^/\\]+\.(ply|glb)|rig\.yaml|[^/\\]+\.rrd)")
+# The report itself; by the first a later run knows the second for its own.
+REPORTS = ("report.json", "report.md")
+# What reports of this program call themselves: of one recording, and of several.
+SCHEMA, JOINT_SCHEMA = "adagmm-fusion-report", "adagmm-fusion-joint-report"
 
 
-def results_of_report(folder: Path, schema: str) -> list[str]:
-    """report.json, report.md and the results that it names, where an earlier run with this schema left them."""
+def results_of_report(folder: Path) -> list[str]:
+    """report.json, report.md and the results that it names, where an earlier run left them."""
     try:
         content = json.loads(read_input_text(folder / "report.json", InputError))
-        named = content["results"].values() if content["schema"] == schema else ()
+        if content["schema"] not in (SCHEMA, JOINT_SCHEMA):
+            return []
+        named = content.get("results", {}).values()
     except (AdaGMMError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return []
     names = [name for name in named if isinstance(name, str) and RESULT.fullmatch(name) and name.isprintable()]
-    return [*names, "report.json", "report.md"]
+    return [*names, *REPORTS]
+
+
+def check_not_foreign(folder: Path, names: Iterable[str], of_earlier: Collection[str]) -> None:
+    """Before the work: raise OutputError where a file that is to be written is there and is not of an earlier run."""
+    for name in names:
+        if name not in of_earlier and os.path.lexists(folder / name):
+            raise OutputError(
+                f"{folder / name}: is there already, and no earlier run has left it; move it, or give another --output"
+            )
 
 
 def states_of(folder: Path, names: Iterable[str]) -> dict[str, tuple[int, int] | None]:

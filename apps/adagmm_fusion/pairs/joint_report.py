@@ -8,8 +8,9 @@ from typing import Any
 
 from adagmm_fusion.files.atomic_file import write_text
 from adagmm_fusion.files.markdown import link, plain
+from adagmm_fusion.files.stale_results import JOINT_SCHEMA
 
-SCHEMA, VERSION = "adagmm-fusion-joint-report", 1
+VERSION = 1
 
 
 @dataclass(frozen=True)
@@ -55,9 +56,8 @@ def joint_markdown(title: str, recordings: Sequence[RecordingSummary]) -> str:
 def write_joint_report(folder: Path, title: str, recordings: Sequence[RecordingSummary]) -> tuple[Path, Path]:
     """Write report.md and report.json of all recordings into a folder. Raises OutputError if that is impossible."""
     paths = folder / "report.md", folder / "report.json"
-    write_text(paths[0], joint_markdown(title, recordings))
     content = {
-        "schema": SCHEMA,
+        "schema": JOINT_SCHEMA,
         "version": VERSION,
         "recordings": [
             {
@@ -74,6 +74,7 @@ def write_joint_report(folder: Path, title: str, recordings: Sequence[RecordingS
         ],
     }
     write_text(paths[1], json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    write_text(paths[0], joint_markdown(title, recordings))
     return paths
 
 

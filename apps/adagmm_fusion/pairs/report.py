@@ -13,12 +13,13 @@ from rich.text import Text
 
 from adagmm_fusion.files.atomic_file import write_text
 from adagmm_fusion.files.markdown import link, plain
+from adagmm_fusion.files.stale_results import SCHEMA
 from adagmm_fusion.package_versions import package_version
 from adagmm_fusion.pairs.record import PairRecord
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.pairs.stages import Stage
 
-SCHEMA, VERSION = "adagmm-fusion-report", 1
+VERSION = 1
 PACKAGES = ("adagmm-o3d", "open3d", "numpy", "numba", "rerun-sdk")
 
 MEDIANS = (
@@ -193,8 +194,8 @@ def as_json(report: Report) -> str:
 def write_report(folder: Path, report: Report) -> tuple[Path, Path]:
     """Write report.md and report.json into a folder; returns their paths. Raises OutputError if that is impossible."""
     paths = folder / "report.md", folder / "report.json"
-    write_text(paths[0], markdown(report))
     write_text(paths[1], as_json(report))
+    write_text(paths[0], markdown(report))
     return paths
 
 

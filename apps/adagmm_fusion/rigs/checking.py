@@ -1,6 +1,6 @@
 """Is a rig's calibration still true? The clouds of its sensors registered again, starting from what it says."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,8 @@ STANDARD_ERRORS = 2.0
 MIN_FRAMES = 2
 # Moments of each two sensors at which a recording's own rig is looked at.
 LOOKED_AT = 5
+
+Sensors = tuple[str, str]  # source, target
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +85,39 @@ def check_rig(
     if not by_sensors:
         raise RecordingError(f"{recording.path}: expected frames of two sensors at one moment, got none; see --help")
     poses = {sensors: rig.T_target_source(sensors[1], sensors[0]) for sensors in by_sensors}
-    chosen = {sensors: spread_over(indices, max_frames) for sensors, indices in by_sensors.items()}
-    total, done, checks = sum(map(len, chosen.values())), 0, []
+    checked = _checked_frames(recording, poses, by_sensors, settings, max_frames, on_frame)
+    return [
+        judged(*sensors, frames, poses[sensors], max_rotation_deg, max_translation_mm) for sensors, frames in checked
+    ]
+
+
+def rig_notes(
+    recording: Recording, settings: Settings, on_frame: Callable[[int, int], None] | None = None
+) -> Iterator[str]:
+    """A line for every two sensors that, registered, are elsewhere than the recording says, beyond the settings' limits
+    of success: no sensor's pose is to be taken for known then."""
+    by_sensors = _at_one_moment(recording)
+    told = {sensors: recording.pairs[indices[0]].T_target_source for sensors, indices in by_sensors.items()}
+    poses = {sensors: pose for sensors, pose in told.items() if pose is not None}
+    limits = settings.max_rotation_error_deg, settings.max_translation_error_mm
+    for sensors, frames in _checked_frames(recording, poses, by_sensors, settings, LOOKED_AT, on_frame):
+        check, (source, target) = judged(*sensors, frames, poses[sensors], *limits), sensors
+        if check.verdict == MOVED:
+            off = f"{check.rotation_deg:.1f}° and {check.translation_mm:.0f} mm"
+            yield f"the rig's pose of {source} to {target} does not fit: registered it is {off} off; see verify"
+
+
+def _checked_frames(
+    recording: Recording,
+    poses: Mapping[Sensors, np.ndarray],
+    by_sensors: Mapping[Sensors, list[int]],
+    settings: Settings,
+    max_frames: int,
+    on_frame: Callable[[int, int], None] | None,
+) -> Iterator[tuple[Sensors, list[FrameCheck]]]:
+    """Of each two sensors, some of their pairs registered from the pose that is given for them."""
+    chosen = {sensors: spread_over(by_sensors[sensors], max_frames) for sensors in poses}
+    total, done = sum(map(len, chosen.values())), 0
     for sensors, indices in chosen.items():
         frames = []
         for index in indices:
@@ -92,28 +125,12 @@ def check_rig(
             done += 1
             if on_frame is not None:
                 on_frame(done, total)
-        checks.append(judged(*sensors, frames, poses[sensors], max_rotation_deg, max_translation_mm))
-    return checks
+        yield sensors, frames
 
 
-def rig_notes(recording: Recording, settings: Settings) -> Iterator[str]:
-    """A line for every two sensors that, registered, are elsewhere than the recording says, beyond the settings' limits
-    of success: no sensor's pose is to be taken for known then."""
-    for (source, target), indices in _at_one_moment(recording).items():
-        T_rig = recording.pairs[indices[0]].T_target_source
-        if T_rig is None:
-            continue
-        frames = [_check_frame(recording, index, T_rig, settings) for index in spread_over(indices, LOOKED_AT)]
-        limits = settings.max_rotation_error_deg, settings.max_translation_error_mm
-        check = judged(source, target, frames, T_rig, *limits)
-        if check.verdict == MOVED:
-            off = f"{check.rotation_deg:.1f}° and {check.translation_mm:.0f} mm"
-            yield f"the rig's pose of {source} to {target} does not fit: registered it is {off} off; see verify"
-
-
-def _at_one_moment(recording: Recording) -> dict[tuple[str, str], list[int]]:
+def _at_one_moment(recording: Recording) -> dict[Sensors, list[int]]:
     """The pairs of each two sensors (source, target) at one moment, as indices into recording.pairs."""
-    by_sensors: dict[tuple[str, str], list[int]] = {}
+    by_sensors: dict[Sensors, list[int]] = {}
     for i, pair in enumerate(recording.pairs):
         source, target = recording.entries[pair.source], recording.entries[pair.target]
         if source.sensor != target.sensor and source.name == target.name:

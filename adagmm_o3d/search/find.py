@@ -27,8 +27,9 @@ from adagmm_o3d.trust.agreement import HELD, log_held
 from adagmm_o3d.trust.judge import ALIKE_HELD, CERTAIN, KNOWN_AGAIN, Judge, holds
 from adagmm_o3d.trust.rivals import SIGMA, refined
 
-# Evidence above which a pose stands by itself [nats per point, both clouds together], see `judge.Judge.evidence`.
-ESTABLISHED = 0.4
+# Evidence above which a pose stands by itself [nats per point, both clouds together], see `judge.Judge.evidence`, and
+# how much has to hold there, or more is tried: clean clouds explain so much of each other in wrong poses too.
+ESTABLISHED, ESTABLISHED_HELD = 0.4, 0.85
 # By how much another pose has to explain the clouds better than the one near the start that the caller gave: a little
 # where it stands by itself, or where by the one near the start the clouds rather lie apart; more where neither does.
 BETTER, MUCH_BETTER = 0.05, 0.25
@@ -45,10 +46,11 @@ PLAUSIBLE = 0.1
 # from the right one; without viewpoints such a pose must hold so far to be taken.
 SETTLED, HOLDS = 0.5, HELD[1]
 # Clouds that hold where they were left are hardly there by chance: an end no further from its start [radii, radians]
-# is a rival, whatever explains more; and where somebody vouched for the start it is taken if so much holds. In the
-# plane, where nothing is known of what holds, only without a search. Where another pose is right none does (377
-# pairs).
-STAYED, STAYS = 0.2, 0.65
+# is a rival, whatever explains more; and where somebody vouched for the start it is taken if so much holds, or even
+# with so little evidence if as much as between the halves of a cloud does: where a third is shared it may be that the
+# clouds rather lie apart. In the plane, where nothing is known of what holds, only without a search. Where another pose
+# is right none does (377 pairs).
+STAYED, STAYS, LITTLE_SHARED = 0.2, 0.65, -0.5
 # Where the first few proposals of features establish no pose, so many times as many are tried.
 MORE = 4
 # What is assumed of points without a partner where σ begins anew.
@@ -161,7 +163,7 @@ def find(
     if not _reaches([*near, *pool], SETTLED * judge().reference if seen_from else ESTABLISHED):
         laid = _apart(direction_poses(alike), apart_by)
         pool += _judged(judge(), _proposed(levels, laid[:most]), 0.0 if seen_from else HOLDS)
-    if not _reaches([*near, *pool], ESTABLISHED):
+    if not _reaches([*near, *pool], ESTABLISHED, ESTABLISHED_HELD):
         more = _proposed(levels, proposals[most : MORE * most])
         more += search_globally(levels) if first is None else search_around(levels, _others(levels, bases), first)
         if viewpoints[0] is not None and viewpoints[1] is not None:
@@ -224,9 +226,11 @@ def _ranked(candidates: list[Candidate]) -> list[Candidate]:
     return sorted(ranked, key=lambda one: -one.value)
 
 
-def _reaches(candidates: list[Candidate], value: float) -> bool:
-    """Whether one of them is worth so much; a value is no more than the evidence, which is known already."""
-    return any(one.value >= value for one in sorted(candidates, key=lambda one: -one.evidence) if one.evidence >= value)
+def _reaches(candidates: list[Candidate], value: float, held: float = 0.0) -> bool:
+    """Whether one of them is worth so much, and so much holds; a value is no more than the evidence, which is known
+    already."""
+    likely = sorted((one for one in candidates if one.evidence >= value), key=lambda one: -one.evidence)
+    return any(one.value >= value and one.held >= held for one in likely)
 
 
 def _found(judge: Judge, near: list[Candidate], pool: list[Candidate], vouched: bool) -> Found:
@@ -251,8 +255,7 @@ def _chosen(near: list[Candidate], pool: list[Candidate], known: float, *, vouch
     more = best.held + ALIKE_HELD if best in near else best.held
     plausible = [one for one in near if known < math.inf and one.evidence > 0.0]
     right = [one for one in plausible if one.held >= more]
-    stayed = [one for one in plausible if _moved(one.end) < STAYED]
-    stayed = [one for one in stayed if (one.held >= STAYS if vouched else holds(one.held))]
+    stayed = _stayed(near, vouched=vouched) if known < math.inf else []
     if best in near:
         right.append(best)
     else:
@@ -260,6 +263,8 @@ def _chosen(near: list[Candidate], pool: list[Candidate], known: float, *, vouch
         right += [one for one in near if one.evidence > least and holds(one.held) and one not in right]
         if vouched:
             right += [one for one in stayed if one not in right]
+        # What explains clearly more and is close by is where such a one was on the way to.
+        right = [one for one in right if best.value < one.value + MUCH_BETTER or _apart_from(best, one.end.pose)]
     if right:
         best = _nearest(right)
     elif at_start is not None:
@@ -274,12 +279,22 @@ def _chosen(near: list[Candidate], pool: list[Candidate], known: float, *, vouch
     # What is beside a surface may have come there since: a pose that holds less but explains as much is a rival.
     others = [(one.end, one.evidence) for one in ranked if one is not best]
     rivals = _rivals([(best.end, best.evidence), *others], AMBIGUOUS)
-    explaining = [one for one in (*near, *pool) if one.evidence > known]
-    apart = [one for one in explaining if pose_distance(best.end.pose, one.end.pose) > APART_AMBIGUOUS]
-    rivals += [one.end.pose for one in apart if holds(one.held, best.held)]
+    explaining = [one for one in (*near, *pool) if one.evidence > known and _apart_from(best, one.end.pose)]
+    rivals += [one.end.pose for one in explaining if holds(one.held, best.held)]
     # What slid a little from where the best is too is no other place.
-    elsewhere = [one for one in stayed if pose_distance(one.end.start, best.end.pose) > APART_AMBIGUOUS]
-    return best.end, rivals + [one.end.pose for one in elsewhere]
+    return best.end, rivals + [one.end.pose for one in stayed if _apart_from(best, one.end.start)]
+
+
+def _apart_from(one: Candidate, pose: Array) -> bool:
+    """Whether a pose is clearly another one."""
+    return bool(pose_distance(one.end.pose, pose) > APART_AMBIGUOUS)
+
+
+def _stayed(near: list[Candidate], *, vouched: bool) -> list[Candidate]:
+    """Those that hold about where they were left."""
+    least, held = (LITTLE_SHARED, STAYS) if vouched else (0.0, HOLDS)
+    there = [one for one in near if one.evidence > least and _moved(one.end) < STAYED]
+    return [one for one in there if holds(one.held) or (one.evidence > 0.0 and one.held >= held)]
 
 
 def _nearest(candidates: list[Candidate]) -> Candidate:

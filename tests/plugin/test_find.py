@@ -232,6 +232,35 @@ def test_a_given_start_that_stays_and_mostly_holds_is_kept_with_a_rival(vouched,
     assert bool(rivals) == kept
 
 
+@pytest.mark.parametrize("vouched", [True, False])
+@pytest.mark.parametrize("away, value, kept", [(0.2, 1.6, False), (0.2, 1.1, True), (0.6, 1.6, True)])
+def test_a_pose_near_the_start_is_left_for_one_close_by_that_explains_clearly_more(away, value, kept, vouched):
+    """As where a street slides along itself, and locks a little further on."""
+    on_the_way, there = (se_exp(np.array([0.0, 0.0, 0.0, x, 0.0, 0.0])) for x in (0.4, 0.4 + away))
+    judge = SimpleNamespace(held=lambda pose: 1.0)
+    near, pool = find.Candidate(judge, end_from(on_the_way), 1.0), find.Candidate(judge, end_at(there), value)
+    end, _ = find._chosen([near], [pool], 0.55, vouched=vouched)
+    np.testing.assert_array_equal(end.pose, on_the_way if kept else there)
+
+
+@pytest.mark.parametrize("evidence, held, kept", [(-0.3, 0.97, True), (-0.3, 0.9, False), (-0.6, 0.97, False)])
+def test_a_given_start_that_stays_and_holds_is_kept_with_a_rival_though_little_is_shared(evidence, held, kept):
+    pose = se_exp(np.array([0.0, 0.0, 0.0, 0.1, 0.0, 0.0]))
+    judge = SimpleNamespace(held=lambda at: held if np.array_equal(at, pose) else 1.0)
+    near, there = find.Candidate(judge, end_from(pose), evidence), find.Candidate(judge, end_at(THERE), 1.0)
+    end, rivals = find._chosen([near], [there], 0.5, vouched=True)
+    np.testing.assert_array_equal(end.pose, pose if kept else THERE)
+    assert bool(rivals) == kept
+
+
+@pytest.mark.parametrize("held, reached", [(0.9, True), (0.8, False)])
+def test_a_pose_is_established_only_where_most_holds(held, reached):
+    judge = SimpleNamespace(held=lambda pose: held)
+    candidates = [find.Candidate(judge, end_at(np.eye(4)), 1.5), find.Candidate(judge, end_at(THERE), 0.1)]
+    assert find._reaches(candidates, find.ESTABLISHED, find.ESTABLISHED_HELD) == reached
+    assert find._reaches(candidates, find.ESTABLISHED)
+
+
 @pytest.mark.parametrize("held, nearer", [(1.0, True), (0.9, False)])
 def test_a_pose_nearer_to_the_start_that_explains_less_is_taken_if_it_holds_more(held, nearer):
     slid = se_exp(np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0]))

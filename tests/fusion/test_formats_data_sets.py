@@ -123,6 +123,47 @@ def test_instant_ngps_depth_unit_counts(tmp_path):
     assert open_recording(tmp_path).entries[0].load().depth_scale == pytest.approx(5000.0, rel=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("suffix", "dtype", "scale"), [(".PNG", np.uint16, 1000.0), (".npy", np.uint16, 1000.0), (".npy", np.float32, 1.0)]
+)
+def test_nerfstudios_depth_without_a_unit_is_in_millimetres_if_its_numbers_are_whole(tmp_path, suffix, dtype, scale):
+    write_nerfstudio(tmp_path, POSES[:2], SMALL)
+    document = json.loads((tmp_path / "transforms.json").read_text())
+    document.pop("depth_unit_scale_factor", None)
+    for frame in document["frames"]:
+        old = tmp_path / frame["depth_file_path"]
+        new = old.with_suffix(suffix)
+        if suffix == ".npy":
+            np.save(new, np.full((SMALL.height, SMALL.width), 2 * scale, dtype))
+        else:
+            old.rename(new)
+        frame["depth_file_path"] = str(new.relative_to(tmp_path))
+    (tmp_path / "transforms.json").write_text(json.dumps(document))
+    frame = open_recording(tmp_path).entries[1].load()
+    assert frame.depth_scale == scale and 0.3 < float(np.nanmedian(frame.depth_m())) < 10.0
+
+
+def test_nerfstudios_view_in_radians_scaled_poses_and_paths_from_the_root(tmp_path):
+    write_nerfstudio(tmp_path, POSES, SMALL)
+    poses = [entry.T_world_camera for entry in open_recording(tmp_path).entries]
+    document = json.loads((tmp_path / "transforms.json").read_text())
+    angle = 2.0 * np.arctan(0.5 * SMALL.width / document.pop("fl_x"))
+    for name in ("fl_y", "cx", "cy"):
+        del document[name]
+    for frame in document["frames"]:
+        frame["transform_matrix"] = (np.array(frame["transform_matrix"]) * [[1, 1, 1, 0.25]]).tolist()
+        frame["transform_matrix"][3][3] = 1.0
+        frame["depth_file_path"] = str(tmp_path.resolve() / frame["depth_file_path"])
+    (tmp_path / "transforms.json").write_text(json.dumps(document | {"camera_angle_x": angle, "applied_scale": 0.25}))
+    recording = open_recording(tmp_path)
+    assert recording.notes == ("the poses' places are divided by the file's applied_scale, 0.25",)
+    intrinsics = recording.entries[0].load().intrinsics
+    assert intrinsics.fx == intrinsics.fy == pytest.approx(SMALL.fx, rel=1e-12)
+    assert (intrinsics.cx, intrinsics.cy) == (0.5 * (SMALL.width - 1), 0.5 * (SMALL.height - 1))
+    for entry, pose in zip(recording.entries, poses, strict=True):
+        np.testing.assert_allclose(entry.T_world_camera, pose, rtol=0, atol=1e-9)
+
+
 def test_the_size_of_nerfstudios_images_is_that_of_the_first_that_can_be_read(tmp_path):
     write_nerfstudio(tmp_path, POSES, SMALL)
     document = json.loads((tmp_path / "transforms.json").read_text())
@@ -145,6 +186,8 @@ def test_the_size_of_nerfstudios_images_is_that_of_the_first_that_can_be_read(tm
         ({"depth_unit_scale_factor": 0}, "expected metres a unit, got 0"),
         ({"k1": 0.1, "k9": 3.0, "dist9": 2.0}, "dist9: this lens distortion is not understood"),
         ({"is_fisheye": True, "k1": 0.1}, "isfisheye: expected plumb_bob or rational_polynomial, got True"),
+        ({"applied_scale": 0}, "applied_scale: expected a positive number, got 0"),
+        ({"fl_x": 0.92}, "fx: expected pixels, got 0.92 for images 160 pixels wide; were they divided by the image's"),
         ({"k1": 0.1, "k4": 0.01}, "k4: expected 0, OpenCV's k4 means something else"),
     ],
 )

@@ -1,6 +1,7 @@
 """The generic reader: folders of colour, depth and a calibration as people lay them out, each with one oddity."""
 
 import json
+from functools import partial
 
 import cv2
 import numpy as np
@@ -68,6 +69,31 @@ def test_numbers_are_sorted_as_numbers_and_what_has_no_partner_is_left_out(tmp_p
     recording = open_recording(tmp_path)
     assert [entry.name for entry in recording.entries] == ["0", "1", "2", "3", "4", "5", "6", "8", "9", "10", "11"]
     assert recording.notes[0] == "left out, without their colour image: depth/7.png"
+
+
+@pytest.mark.parametrize(
+    ("color", "depth", "lag"),
+    [("rgb/{i}.png", "depth/{j}.png", "1 higher"), ("rgb/{t:.2f}.png", "depth/{u:.2f}.png", "0.5 lower")],
+)
+def test_lists_that_are_shifted_against_each_other_are_said_to_be(tmp_path, color, depth, lag):
+    for i in range(8):
+        names = {"i": i, "j": i + 1, "t": 1000.0 + 0.1 * i, "u": 1000.0 + 0.1 * i - 0.5}
+        for form, write in ((color, write_color), (depth, partial(write_depth, depth_scale=1000.0))):
+            path = tmp_path / form.format(**names)
+            path.parent.mkdir(exist_ok=True)
+            write(path, SMALL, POSES[0])
+    write_text(tmp_path / "K.txt", MATRIX)
+    notes = open_recording(tmp_path).notes
+    assert any(f"in order the depth's numbers all are {lag}: images of equal numbers" in note for note in notes)
+
+
+def test_archives_of_arrays_are_said_not_to_be_read(tmp_path):
+    layout(tmp_path, "rgb/{i}.png", "depth/{i}.png")
+    for path in (tmp_path / "depth").iterdir():
+        np.savez(path.with_suffix(".npz"), depth=np.ones((3, 4)))
+        path.unlink()
+    with pytest.raises(RecordingError, match=r"\.npz archives are not read: save each array as \.npy"):
+        open_recording(tmp_path)
 
 
 JSON = {"width": 160, "height": 120}

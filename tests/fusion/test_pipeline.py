@@ -1,9 +1,11 @@
 """From a pair to a judged outcome: success, failure and what cannot be registered, each said for what it is."""
 
+import copy
 import re
 from dataclasses import replace
 
 import numpy as np
+import open3d as o3d
 import pytest
 from shared_data import ROOT, shared_data
 
@@ -11,6 +13,7 @@ from adagmm_fusion.frames.rgbd import RGBDPair
 from adagmm_fusion.pairs.pipeline import register_pair, run_pairs
 from adagmm_fusion.pairs.record import pair_record
 from adagmm_fusion.pairs.settings import Settings
+from adagmm_fusion.pairs.stages import stage_at
 from adagmm_fusion.recordings.opening import open_recording
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.lie import se_inverse
@@ -125,6 +128,21 @@ def test_without_ground_truth_the_estimate_judges_itself(pair, outcome):
     assert (judged.status == "ok") == (not outcome.estimate.warnings)
     doubted = register_pair(with_truth(pair, None), replace(FEW_POINTS, min_overlap=0.99))
     assert doubted.status == "failed" and "is below 0.99" in doubted.reason
+
+
+@pytest.mark.slow
+def test_without_ground_truth_depth_and_colour_together_contradict(pair, outcome):
+    """The target's depth image is made to see through the source, and its colours are turned over."""
+    estimate = outcome.T_estimate
+    end = stage_at(estimate, pair, outcome.source_cloud, outcome.target_cloud, 0.05)
+    assert end.contradictions() == []
+    far = replace(pair.target, depth=np.where(pair.target.depth > 0, 2 * pair.target.depth, 0).astype(np.uint16))
+    dark = copy.deepcopy(outcome.target_cloud)
+    dark.colors = o3d.utility.Vector3dVector(1.0 - np.asarray(dark.colors))
+    end = stage_at(estimate, replace(pair, target=far), outcome.source_cloud, dark, 0.05)
+    depth, colour = end.contradictions()
+    assert depth.endswith("% of the source lies in front of the target's surfaces")
+    assert colour.startswith("colour contradicts (correlation -")
 
 
 def test_a_frame_without_depth_is_a_failure_with_its_reason(pair):

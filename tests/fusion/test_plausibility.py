@@ -1,5 +1,6 @@
 """Sensors that are mirrored, shifted, in a wrong unit or deliver disparity are named, and sound ones are left alone."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -120,6 +121,21 @@ def test_where_no_steps_are_the_known_poses_tell_the_unit(shipped):
     metres = changed(shipped, None, lambda frame: replace(frame, depth=frame.depth_m() * 1.0, depth_scale=1000.0))
     (warning,) = recording_warnings(metres)
     assert warning.startswith("the depth looks 1000 times too small: by the known poses")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("times", [0.4, 5.0])
+def test_ways_between_known_poses_that_are_all_too_long_or_short(shipped, times):
+    def scaled(i):
+        T = shipped[i].T_target_source.copy()
+        T[:3, 3] *= times
+        return replace(shipped.pairs[i], T_target_source=T)
+
+    warnings = recording_warnings(replace(shipped, pairs=tuple(map(scaled, range(len(shipped))))))
+    (warning,) = [text for text in warnings if "ways" in text]
+    found = re.match(r"the ways between the known poses look ([0-9.]+) times too (short|long): put right, ", warning)
+    assert found is not None and found[2] == ("short" if times < 1.0 else "long")
+    assert float(found[1]) == pytest.approx(max(times, 1.0 / times), rel=0.06)
 
 
 def test_disparity_is_no_depth(frames):

@@ -26,6 +26,10 @@ def refuse(x):
     raise ValueError(f"no\nto {x}")
 
 
+def refuse_by_name(_):
+    raise InputError("depth.png: expected\n16 bits, got 8")
+
+
 def threads(_):
     return os.environ["NUMBA_NUM_THREADS"], os.environ["OMP_NUM_THREADS"]
 
@@ -79,6 +83,11 @@ def test_an_error_is_a_failure_in_one_line_and_others_go_on():
     assert all(isinstance(result, TaskFailure) for result in results.values())
     assert results["a"].reason.startswith("ValueError: no to 1 at test_task_pool.py:")
     assert "\n" not in results["a"].reason
+
+
+def test_an_error_of_ours_is_its_own_line():
+    (result,) = dict(run_tasks(refuse_by_name, {"a": 1}, workers=1)).values()
+    assert result == TaskFailure("depth.png: expected 16 bits, got 8")
 
 
 def test_workers_have_one_kernel_thread():

@@ -56,6 +56,12 @@ def test_tolerances_are_the_users(capsys):
     assert "right against left: moved" in capsys.readouterr().out
 
 
+def rigid(rotation, translation):
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rotation, translation
+    return T
+
+
 def frames_off(rotations_deg, translations_mm):
     T_rig = lie.se_exp((0.1, 0.5, 0.0, 1.0, 0.0, 0.2))
     frames = []
@@ -82,6 +88,21 @@ def frames_off(rotations_deg, translations_mm):
 def test_the_verdict_needs_frames_that_agree(rotations_deg, translations_mm, verdict):
     frames, T_rig = frames_off(rotations_deg, translations_mm)
     assert judged("right", "left", frames, T_rig, 1.0, 50.0).verdict == verdict
+
+
+@pytest.mark.parametrize(
+    ("wrong", "name"),
+    [
+        (lie.se_inverse, "the inverse"),
+        (lambda T: rigid(T[:3, :3].T, T[:3, 3]), "with its rotation transposed"),
+        (lambda T: rigid(T[:3, :3], 1000.0 * T[:3, 3]), "in millimetres"),
+        (lambda T: T @ lie.se_exp((0.0, 0.1, 0.0, 0.0, 0.0, 0.3)), ""),
+    ],
+)
+def test_what_a_wrong_rig_looks_like_is_said(wrong, name):
+    frames, T_rig = frames_off((0.2, 0.3, 0.25), (5.0, 6.0, 7.0))
+    check = judged("right", "left", frames, wrong(T_rig), 1.0, 50.0)
+    assert (check.verdict, check.looks_like) == ("moved", name)
 
 
 def test_mean_and_spread_are_over_frames():

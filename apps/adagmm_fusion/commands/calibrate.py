@@ -66,6 +66,7 @@ def _from_scene(args: argparse.Namespace) -> int:
     import numpy as np
 
     from adagmm_fusion.commands.progress import staged_progress_bar
+    from adagmm_fusion.commands.recording_arguments import print_notes
     from adagmm_fusion.files.atomic_file import check_output_file, write_text
     from adagmm_fusion.pairs.settings import Settings
     from adagmm_fusion.recordings.opening import open_recording
@@ -97,6 +98,7 @@ def _from_scene(args: argparse.Namespace) -> int:
         say(f"adagmm-fusion: {printable(pair)} disagrees with the other pairs and counts for little")
     for pair, reason in result.failed.items():
         say(f"adagmm-fusion: {printable(pair)} was not registered: {printable(reason)}")
+    print_notes(recording)
     print(printable(f"rig: {output}, covariances: {beside}"))
     return 0
 

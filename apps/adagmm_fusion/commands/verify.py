@@ -129,4 +129,5 @@ def _sentence(check: Any) -> str:
         f"{check.source} against {check.target}: {check.verdict}, {check.rotation_deg:.2f}° ± "
         f"{check.rotation_spread_deg:.2f}° and {check.translation_mm:.1f} mm ± {check.translation_spread_mm:.1f} mm "
         "from the rig file (± is the spread over frames; in the table, what each pose's own covariance says)"
+        + (f"; the rig file's pose looks like {check.looks_like}" if check.looks_like else "")
     )

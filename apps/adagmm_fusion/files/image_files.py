@@ -32,7 +32,7 @@ def inside(root: Path, relative: str, where: str) -> Path:
 
     Raises
     ------
-    RecordingError  starting with `where`, if the path is absolute, climbs out, is a link that leads out, or is no path.
+    RecordingError  starting with `where`, if the path leads out, as itself or as a link, or is no path.
     """
     path = root / relative
     try:
@@ -40,7 +40,7 @@ def inside(root: Path, relative: str, where: str) -> Path:
             relative = relative.replace("\\", "/")
             path = root / relative
         path.exists()
-        outside = Path(relative).is_absolute() or not path.resolve().is_relative_to(root.resolve())
+        outside = not path.resolve().is_relative_to(root.resolve())
     except (OSError, RuntimeError, ValueError) as problem:  # too long, a NUL byte, links in a circle
         raise RecordingError(f"{where}: {relative[:80]!r} is not a path that can be used: {problem}") from problem
     if outside:

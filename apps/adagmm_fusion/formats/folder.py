@@ -23,10 +23,11 @@ import numpy as np
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import first_readable, inside, read_color, read_depth
 from adagmm_fusion.formats.folder_cameras import FolderCameras, find_cameras
-from adagmm_fusion.formats.image_lists import ImageLists, find_images, pair_images
+from adagmm_fusion.formats.image_lists import ImageLists, constant_lag, find_images, pair_images
 from adagmm_fusion.formats.listed_frames import ListedFrame, recording_of_frames
 from adagmm_fusion.formats.options import ReadOptions, unpaired_notes
 from adagmm_fusion.formats.pose_lists import PoseList, find_poses
+from adagmm_fusion.frames.depth_checks import usual_depth_scale
 from adagmm_fusion.frames.pose_readings import AS_GIVEN, READINGS, PosedPair, best_reading
 from adagmm_fusion.recordings.frame_sequence import Recording
 from adagmm_o3d.errors import AdaGMMError
@@ -34,11 +35,9 @@ from adagmm_o3d.errors import AdaGMMError
 NAME = "folder"
 SUMMARY = "any folder of colour and depth images with intrinsics"
 SENSOR = "camera"
-MILLIMETRES_PER_METRE = 1000.0
-# No depth camera sees so far.
-FAR_M = 100.0
-# Pairs that are looked at to find which way round the poses are.
-PAIRS = 3
+# Pairs that are looked at to find which way round the poses are, and the share of points that agree below which none
+# may be right.
+PAIRS, DOUBTFUL = 3, 0.5
 
 
 def matches(folder: Path) -> bool:
@@ -57,7 +56,7 @@ def read(folder: Path, options: ReadOptions) -> Recording:
     for path in (path for _, *paths in images for path in paths):
         inside(folder, str(path.relative_to(folder)), str(folder))
     notes = list(_unpaired(folder, lists, images))
-    color_size, depth_size, millimetres = _first_sizes(images)
+    color_size, depth_size, usual = _first_sizes(images)
     found = FolderCameras() if options.rig is not None else find_cameras(folder, color_size, depth_size)
     color, of_depth = found.color, found.depth
     notes += found.notes
@@ -68,9 +67,9 @@ def read(folder: Path, options: ReadOptions) -> Recording:
             f"{found.not_understood}; add intrinsics.json with width, height, fx, fy, cx, cy, or give a rig file"
         )
     said = found.depth_scale
-    depth_scale = said or (MILLIMETRES_PER_METRE if millimetres else 1.0)
+    depth_scale = said or usual
     if said is None and options.rig is None:
-        notes.append(f"depth is taken for {'millimetres' if millimetres else 'metres'}, no file says so")
+        notes.append(f"depth is taken for {'metres' if usual == 1.0 else 'millimetres'}, no file says so")
     frames = [
         ListedFrame(
             name,
@@ -95,33 +94,35 @@ def _unpaired(folder: Path, lists: ImageLists, images: list[tuple[str, Path, Pat
     colors, depths = (
         {names.get(path, f"{path.parent.name}/{path.name}") for path in paths} for paths in (lists.colors, lists.depths)
     )
-    return unpaired_notes(colors, depths, folder)
+    notes = unpaired_notes(colors, depths, folder)
+    lag = constant_lag(lists) if notes else None
+    if lag is None:
+        return notes
+    alike = (
+        f"there are as many colour as depth images, and in order the depth's numbers all are {abs(lag):.4g} "
+        f"{'higher' if lag > 0 else 'lower'}: images of equal numbers are taken for partners, others may be"
+    )
+    return (*notes, alike)
 
 
 def _place(path: Path, folder: Path) -> str:
     return f"{path.parent.name}/" if path.parent != folder else "the folder itself"
 
 
-def _first_sizes(images: list[tuple[str, Path, Path]]) -> tuple[tuple[int, int], tuple[int, int], bool]:
-    """(width, height) of colour and of depth, and whether depth rather is in millimetres, of the first frame that can
-    be read.
+def _first_sizes(images: list[tuple[str, Path, Path]]) -> tuple[tuple[int, int], tuple[int, int], float]:
+    """(width, height) of colour and of depth, and the depth's usual units per metre, of the first frame that can be
+    read.
 
     Raises
     ------
     RecordingError  of the first frame, if none can be read.
     """
 
-    def sizes(image: tuple[str, Path, Path]) -> tuple[tuple[int, int], tuple[int, int], bool]:
+    def sizes(image: tuple[str, Path, Path]) -> tuple[tuple[int, int], tuple[int, int], float]:
         color, depth = read_color(image[1]), read_depth(image[2])
-        return color.shape[1::-1], depth.shape[::-1], depth.dtype == np.uint16 or _is_too_far(depth)
+        return color.shape[1::-1], depth.shape[::-1], usual_depth_scale(depth)
 
     return first_readable(images, sizes)
-
-
-def _is_too_far(depth: np.ndarray) -> bool:
-    """Whether half of what is measured would be further away than any depth camera sees, were it metres."""
-    measured = depth[np.isfinite(depth) & (depth > 0)]
-    return len(measured) > 0 and float(np.median(measured)) > FAR_M
 
 
 def _posed(
@@ -139,6 +140,8 @@ def _posed(
         why = f"so {100 * best.share:.0f} % of the points agree between depth images"
         if reading != AS_GIVEN:
             why += f", as camera to world {100 * best.share_as_given:.0f} %"
+        if best.share < DOUBTFUL:
+            why += ", which is few: they may be of other frames, or meant in another way"
     read_as = "camera to world" if reading == AS_GIVEN else f"{reading} of camera to world"
     posed = [
         replace(f, T_world_camera=None if f.T_world_camera is None else READINGS[reading](f.T_world_camera))

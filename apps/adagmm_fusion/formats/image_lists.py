@@ -35,6 +35,8 @@ NUMBER = re.compile(r"\d+(?:\.\d+)?")
 MAX_ENTRIES = 200_000
 # Images this far apart in time [s] are no partners.
 MAX_GAP_S = 0.1
+# So many images of either kind that are all as far from each other are no coincidence.
+LEAST_ALIKE = 4
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,21 @@ def number_of(path: Path) -> float | None:
     """The last number in a file's name, or None."""
     found = NUMBER.findall(path.stem)
     return float(found[-1]) if found else None
+
+
+def constant_lag(lists: ImageLists) -> float | None:
+    """By how much the numbers or times in the depth images' names are beyond those of as many colour images, in order,
+    all alike and by more than half a step; None where it is not so."""
+    times = _date_times(lists)
+    numbers = [
+        sorted(n for path in paths if (n := times.get(path, number_of(path))) is not None)
+        for paths in (lists.colors, lists.depths)
+    ]
+    if len(numbers[0]) != len(numbers[1]) or len(numbers[0]) < LEAST_ALIKE:
+        return None
+    lags, step = np.subtract(numbers[1], numbers[0]), float(np.median(np.diff(numbers[0])))
+    lag = float(np.median(lags))
+    return lag if abs(lag) > 0.5 * step and np.abs(lags - lag).max() < 0.25 * step else None
 
 
 def counted_otherwise(numbers: Collection[float], others: Collection[float]) -> float:

@@ -1,22 +1,24 @@
 """nerfstudio's transforms.json (also Instant NGP's) with depth.
 
-    transforms.json    fl_x, fl_y, cx, cy, w, h, k1, k2, p1, p2, ... for all frames, or in a frame for it alone;
+    transforms.json    fl_x, fl_y, cx, cy, w, h, k1, k2, p1, p2, ... for all frames, or in a frame for it alone; or
+                       camera_angle_x, the view's width [rad], in place of fl_x, and the middle in place of cx, cy;
                        camera_model PINHOLE, SIMPLE_PINHOLE or OPENCV, not is_fisheye; depth_unit_scale_factor, metres
-                       a unit (without it, or Instant NGP's integer_depth_scale, .png is in millimetres, others in
-                       metres); frames, each with
-                         file_path, depth_file_path    relative to the folder
+                       a unit (without it, or Instant NGP's integer_depth_scale, whole numbers are millimetres, others
+                       metres); applied_scale, by which the poses' places were multiplied; frames, each with
+                         file_path, depth_file_path    relative to the folder, or in it
                          transform_matrix              4x4 camera to world in OpenGL's axes (x right, y up, z backward)
 
 Frames without depth are passed over. Source: nerfstudio's docs, Data Conventions.
 """
 
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from adagmm_fusion.errors import RecordingError
-from adagmm_fusion.files.image_files import COLOR_SUFFIXES, first_readable, inside, read_color
+from adagmm_fusion.files.image_files import COLOR_SUFFIXES, first_readable, inside, read_color, read_depth
 from adagmm_fusion.files.input_file import is_given
 from adagmm_fusion.files.json_file import json_number, json_numbers, json_object, read_json
 from adagmm_fusion.files.opencv_nodes import plain_name
@@ -25,6 +27,7 @@ from adagmm_fusion.formats.camera_files import distortion_of
 from adagmm_fusion.formats.listed_frames import ListedFrame, recording_of_frames
 from adagmm_fusion.formats.options import ReadOptions
 from adagmm_fusion.formats.text_table import parse_pose
+from adagmm_fusion.frames.depth_checks import usual_depth_scale
 from adagmm_fusion.frames.pose_readings import OPENGL
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.recordings.frame_sequence import Recording
@@ -38,7 +41,6 @@ TRANSFORMS = "transforms.json"
 MODELS = ("", "PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
 # nerfstudio's name of the metres a unit, and Instant NGP's.
 UNITS = ("depth_unit_scale_factor", "integer_depth_scale")
-MILLIMETRES = 1e-3
 
 
 def matches(folder: Path) -> bool:
@@ -53,7 +55,12 @@ def read(folder: Path, options: ReadOptions) -> Recording:
         raise RecordingError(f"{path}: frames: expected a list of frames")
     frames: list[ListedFrame] = []
     without_depth = 0
-    unstated: tuple[int, int] | None = None  # the size of images, where the file does not say it
+    # The size of images, and the metres a unit of depth, where the file does not say it.
+    unstated: tuple[int, int] | None = None
+    usual: float | None = None
+    scale = json_number(common, "applied_scale", str(path), 1.0)
+    if not 1e-9 < scale < 1e9:
+        raise RecordingError(f"{path}: applied_scale: expected a positive number, got {scale:g}")
     for i, item in enumerate(listed):
         where = f"{path}: frames[{i}]"
         values = common | json_object(item, where)
@@ -67,8 +74,11 @@ def read(folder: Path, options: ReadOptions) -> Recording:
         T = np.eye(4)
         rows = 3 if isinstance(matrix, list) and len(matrix) == 3 else 4
         T[:rows] = json_numbers(matrix, 4 * rows, f"{where}: transform_matrix").reshape(rows, 4)
+        T[:3, 3] /= scale
         key = next((key for key in UNITS if key in values), UNITS[0])
-        unit = json_number(values, key, where, MILLIMETRES if depth.suffix == ".png" else 1.0)
+        if key not in values and usual is None:
+            usual = _usual_unit(folder, listed, path)
+        unit = json_number(values, key, where, usual)
         if not 1e-9 < unit < 1e9:
             raise RecordingError(f"{where}: {key}: expected metres a unit, got {unit:g}")
         name = depth.stem
@@ -79,7 +89,8 @@ def read(folder: Path, options: ReadOptions) -> Recording:
         )
     if not frames:
         raise RecordingError(f"{path}: no frame has depth_file_path; write it with depth")
-    notes = [f"left out, without depth: {without_depth} of {len(listed)} frames"] if without_depth else []
+    notes = [] if scale == 1.0 else [f"the poses' places are divided by the file's applied_scale, {scale:g}"]
+    notes += [f"left out, without depth: {without_depth} of {len(listed)} frames"] if without_depth else []
     return recording_of_frames(folder, NAME, SENSOR, frames, options, notes)
 
 
@@ -96,6 +107,24 @@ def _first_size(folder: Path, listed: list[Any], path: Path) -> tuple[int, int]:
         return read_color(_color(folder, json_object(listed[i], where).get("file_path"), where)).shape[1::-1]
 
     return first_readable(range(len(listed)), size)
+
+
+def _usual_unit(folder: Path, listed: list[Any], path: Path) -> float:
+    """Metres a unit of the first depth image that can be read, by its numbers.
+
+    Raises
+    ------
+    RecordingError  of the first image, if none can be read.
+    """
+
+    def unit(i: int) -> float:
+        where = f"{path}: frames[{i}]"
+        relative = json_object(listed[i], where).get("depth_file_path")
+        if not isinstance(relative, str):
+            raise RecordingError(f"{where}: has no depth_file_path")
+        return 1.0 / usual_depth_scale(read_depth(inside(folder, relative, where)))
+
+    return first_readable(range(len(listed)), unit)
 
 
 def _color(folder: Path, relative: Any, where: str) -> Path:
@@ -116,7 +145,17 @@ def _intrinsics(values: dict[str, Any], unstated: tuple[int, int] | None, where:
     size = unstated
     if size is None or "w" in values:
         size = int(json_number(values, "w", where)), int(json_number(values, "h", where))
-    fx, cx, cy = (json_number(values, name, where) for name in ("fl_x", "cx", "cy"))
+    if "camera_angle_x" in values and "fl_x" not in values:
+        half = 0.5 * json_number(values, "camera_angle_x", where)
+        if not 0.0 < half < 0.5 * math.pi:
+            raise RecordingError(f"{where}: camera_angle_x: expected radians between 0 and π, got {2.0 * half:g}")
+        middle = [0.5 * (pixels - 1) for pixels in size]
+        fx, cx, cy = (
+            0.5 * size[0] / math.tan(half),
+            *(json_number(values, name, where, at) for name, at in zip(("cx", "cy"), middle, strict=True)),
+        )
+    else:
+        fx, cx, cy = (json_number(values, name, where) for name in ("fl_x", "cx", "cy"))
     fy = json_number(values, "fl_y", where, fx)
     lens = {plain_name(name): value for name, value in values.items() if isinstance(value, int | float | list | str)}
     distortion = distortion_of(lens, where)

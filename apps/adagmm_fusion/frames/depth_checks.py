@@ -28,6 +28,9 @@ MIN_LEVELS = 40
 UNIT_MISTAKES = (0.001, 0.1, 0.2, 5.0, 10.0, 1000.0)
 UNIT_TOLERANCE = 1.45
 
+MILLIMETRES_PER_METRE = 1000.0
+FAR_M = 100.0  # no depth camera sees so far
+
 WINDOW = 48  # px, of the planes that disparity and depth are told apart by
 MIN_WINDOWS = 25
 SLANT_LEAST, SLANT_MOST = 1.15, 2.0  # farthest over nearest depth of such a plane
@@ -45,6 +48,14 @@ class ColorOffset:
     right_px: int
     down_px: int
     mirrored: bool
+
+
+def usual_depth_scale(depth: np.ndarray) -> float:
+    """Units per metre of a depth image (H, W) of which no file says them: whole numbers are millimetres, others metres,
+    or millimetres too where half of what is measured would be beyond any camera's reach."""
+    measured = depth[np.isfinite(depth) & (depth > 0)]
+    far = len(measured) > 0 and float(np.median(measured)) > FAR_M
+    return MILLIMETRES_PER_METRE if depth.dtype == np.uint16 or far else 1.0
 
 
 def color_offset(frames: Sequence[RGBDFrame]) -> ColorOffset | None:

@@ -17,6 +17,7 @@ from adagmm_o3d.lie import project_to_rotation
 DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 MAX_COORDINATE = 1e12  # metres; products of a few such numbers are finite
 MAX_PX = 1e9  # of a focal length or principal point; the inverse of a focal length is bounded as well
+LEAST_FOCAL = 0.02  # of the image's width: half of a view of 175°
 DEPTH_DTYPES = (np.dtype(np.uint16), np.dtype(np.float32), np.dtype(np.float64))
 
 
@@ -90,6 +91,11 @@ class PinholeIntrinsics:
             value = getattr(self, name)
             if name in ("fx", "fy") and value <= 0:
                 raise InputError(f"intrinsics.{name}: expected a positive focal length, got {value:g}")
+            if name in ("fx", "fy") and value < LEAST_FOCAL * self.width:
+                raise InputError(
+                    f"intrinsics.{name}: expected pixels, got {value:g} for images {self.width} pixels wide; were they "
+                    "divided by the image's size?"
+                )
             if abs(value) > MAX_PX or (name in ("fx", "fy") and value < 1.0 / MAX_PX):
                 raise InputError(f"intrinsics.{name}: expected pixels, up to {MAX_PX:g}, got {value:g}")
         distortion = tuple(_finite(k, f"intrinsics.distortion[{i}]") for i, k in enumerate(self.distortion))

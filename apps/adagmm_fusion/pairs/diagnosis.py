@@ -6,10 +6,8 @@ from adagmm_fusion.pairs.stages import FEATURES, Stage, worse_than_start
 
 # A start within this many times the limits of success was nearly right: what went wrong came later.
 NEARLY = 1.5
-# Right poses have up to 2 % of their points in front of what the target sees, wrong ones from 5 %.
-MANY_CONTRADICTED = 0.05
-# Brightness of partners correlates by 0.6 and more at right poses, by 0.15 and less at wrong ones.
-COLORS_DISAGREE, COLORS_AGREE, COLORS_LOST = 0.35, 0.6, 0.1
+# What a correlation of colours has lost where it counts.
+COLORS_LOST = 0.1
 # Overlaps that differ by less are the same; below the second the clouds have little in common.
 SAME_OVERLAP, LITTLE_OVERLAP = 0.02, 0.4
 # Of a motion that only slides along surfaces, less than this goes across them.
@@ -111,11 +109,7 @@ def _without_truth(evidence: Evidence, start: Stage, end: Stage) -> str:
 
 def _against(evidence: Evidence, end: Stage) -> list[str]:
     """What speaks against the end, the strongest first."""
-    found = []
-    if end.contradicted >= MANY_CONTRADICTED:
-        found.append(f"{end.contradicted:.0%} of the source lies in front of the target's surfaces")
-    if end.color_correlation is not None and end.color_correlation < COLORS_DISAGREE:
-        found.append(f"colour contradicts (correlation {end.color_correlation:.2f})")
+    found = end.contradictions()
     if evidence.ambiguous:
         found.append("two poses explain the clouds equally")
     if evidence.overlap_truth is None and end.overlap < LITTLE_OVERLAP:

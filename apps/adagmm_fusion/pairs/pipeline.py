@@ -15,6 +15,7 @@ from adagmm_fusion.pairs.feature_start import MIN_INLIERS, FeatureStart
 from adagmm_fusion.pairs.partners import partner_distance
 from adagmm_fusion.pairs.refinement import SeenFeatures, refine_pair, see_features
 from adagmm_fusion.pairs.settings import Settings
+from adagmm_fusion.pairs.stages import stage_at
 from adagmm_fusion.recordings.frame_sequence import Recording
 from adagmm_o3d import registration_adaptive_gmm
 from adagmm_o3d.errors import AdaGMMError
@@ -157,6 +158,10 @@ def register_pair(
         return _refused(pair.name, pair.index, problem, **reached)
     evaluation = _evaluate(source, target, refined.estimate.transformation, distance, pair.T_target_source)
     reason = why_failed(refined.estimate, evaluation, settings, agreeing_features=refined.agreeing)
+    if not reason and evaluation.errors is None:
+        contradictions = stage_at(refined.estimate.transformation, pair, source, target, distance).contradictions()
+        # One alone may have another cause: what moved, or light that changed.
+        reason = " and ".join(contradictions) if len(contradictions) > 1 else ""
     return PairOutcome(
         pair_name=pair.name,
         index=pair.index,

@@ -15,6 +15,8 @@ from adagmm_o3d.errors import AdaGMMError
 
 # Frames of a sensor, and pairs of two, that are looked at.
 FRAMES, PAIRS = 4, 3
+# What known ways are multiplied by to see whether the depth images agree better.
+WAYS = np.geomspace(0.05, 20.0, 61)
 
 
 def recording_warnings(recording: Recording) -> tuple[str, ...]:
@@ -30,7 +32,7 @@ def recording_warnings(recording: Recording) -> tuple[str, ...]:
             names = f"{pair.source.sensor} or {pair.target.sensor}"
             warnings.append(f"{names} looks mirrored: their features agree only if one image is flipped left to right")
             break
-    scale = None if any("depth_scale" in text for text in warnings) else _scale_warning(pairs)
+    scale = None if any("depth_scale" in text for text in warnings) else _scale_warning(pairs) or _ways_warning(pairs)
     return (*warnings, *extrinsics_notes(recording), *([] if scale is None else [scale]))
 
 
@@ -79,6 +81,34 @@ def _scale_warning(pairs: Sequence[RGBDPair]) -> str | None:
     return (
         f"the depth looks {_times(best)}: by the known poses {100 * shares[best]:.0f} % of the points agree if that is "
         f"put right, as it is {100 * given:.0f} %; check depth_scale"
+    )
+
+
+def _ways_warning(pairs: Sequence[RGBDPair]) -> str | None:
+    """Whether the ways between known poses are all so many times too long or short for what the depth images show."""
+    known = [pair for pair in pairs if pair.T_target_source is not None and np.any(pair.T_target_source[:3, 3])]
+    if not known:
+        return None
+    points = [sampled_points(pair.source) for pair in known]
+
+    def share(times: float) -> float:
+        shares = []
+        for pair, sampled in zip(known, points, strict=True):
+            assert pair.T_target_source is not None
+            T = pair.T_target_source.copy()
+            T[:3, 3] *= times
+            shares.append(agreeing_share(sampled, pair.target, T))
+        return float(np.mean(shares))
+
+    given = share(1.0)
+    shares = {float(times): share(times) for times in WAYS}
+    best = max(shares, key=lambda times: shares[times])
+    if shares[best] < max(CLEARLY * given, given + CLEARLY_MORE, LEAST_SHARE):
+        return None
+    wrong = f"{1 / best:.2g} times too long" if best < 1.0 else f"{best:.2g} times too short"
+    return (
+        f"the ways between the known poses look {wrong}: put right, {100 * shares[best]:.0f} % of the points agree, as "
+        f"they are {100 * given:.0f} %; are poses and depth in one unit?"
     )
 
 

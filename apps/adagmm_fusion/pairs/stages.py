@@ -15,6 +15,10 @@ IDENTITY, START, END = "identity", "start", "end"
 FEATURES, GEOMETRY = "features", "geometry"
 # An end is worse than its start if one error grew by more than this: less is within what truths are good for.
 WORSE_DEG, WORSE_MM = 0.2, 10.0
+# Right poses have up to 2 % of their points in front of what the target sees, wrong ones from 5 %.
+MANY_CONTRADICTED = 0.05
+# Brightness of partners correlates by 0.6 and more at right poses, by 0.15 and less at wrong ones.
+COLORS_DISAGREE = 0.35
 # Of fewer partners a correlation of colours says nothing.
 MIN_COLORED_PARTNERS = 50
 
@@ -46,6 +50,15 @@ class Stage:
         """As in "start (features)"."""
         return f"{self.stage} ({self.found_by})" if self.found_by else self.stage
 
+    def contradictions(self) -> list[str]:
+        """What the images say against the pose: the target's depth, and the colours of both."""
+        found = []
+        if self.contradicted is not None and self.contradicted >= MANY_CONTRADICTED:
+            found.append(f"{self.contradicted:.0%} of the source lies in front of the target's surfaces")
+        if self.color_correlation is not None and self.color_correlation < COLORS_DISAGREE:
+            found.append(f"colour contradicts (correlation {self.color_correlation:.2f})")
+        return found
+
 
 def stages_of(
     pair: RGBDPair,
@@ -60,7 +73,8 @@ def stages_of(
     found_by = GEOMETRY if features is None else FEATURES
     poses = ((IDENTITY, "", np.eye(4)), (START, found_by, T_start), (END, "", estimate.transformation))
     return tuple(
-        _stage(name, found_by, np.asarray(T), pair, source, target, partner_distance_m) for name, found_by, T in poses
+        stage_at(np.asarray(T), pair, source, target, partner_distance_m, name=name, found_by=found_by)
+        for name, found_by, T in poses
     )
 
 
@@ -82,15 +96,17 @@ def color_correlation(source: np.ndarray, target: np.ndarray) -> float | None:
     return float(a @ b) / scale if scale > 0 else None
 
 
-def _stage(
-    name: str,
-    found_by: str,
+def stage_at(
     T: np.ndarray,
     pair: RGBDPair,
     source: o3d.geometry.PointCloud,
     target: o3d.geometry.PointCloud,
     distance: float,
+    *,
+    name: str = END,
+    found_by: str = "",
 ) -> Stage:
+    """What is known of a pair's clouds at a pose (4, 4), with partners within a distance [m]."""
     found = points_at_pose(source, target, T, distance, pair.target)
     partner = found.overlap == PARTNER
     correlation = None

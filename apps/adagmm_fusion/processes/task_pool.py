@@ -309,6 +309,8 @@ def _call_on_cluster(call: bytes, environment: Mapping[str, str]) -> Any:
 
 
 def _failure(error: BaseException) -> TaskFailure:
+    if isinstance(error, AdaGMMError):  # says by itself what and where
+        return TaskFailure(" ".join(str(error).split()))
     where = traceback.extract_tb(error.__traceback__)
     place = f" at {os.path.basename(where[-1].filename)}:{where[-1].lineno}" if where else ""
     return TaskFailure(f"{type(error).__name__}: {' '.join(str(error).split())}{place}")

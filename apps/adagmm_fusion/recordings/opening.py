@@ -79,4 +79,6 @@ def _what_is_there(path: Path) -> str:
     listed = islice(path.iterdir(), MOST_LISTED)
     kinds = Counter("folders" if child.is_dir() else child.suffix.lower() or child.name for child in listed)
     common = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common(4))
-    return f"it holds {common or 'nothing'}, but no folder of colour and one of depth images"
+    archives = any(file.suffix.lower() == ".npz" for file in islice(path.glob("*/*"), MOST_LISTED))
+    hint = "; .npz archives are not read: save each array as .npy" if archives else ""
+    return f"it holds {common or 'nothing'}, but no folder of colour and one of depth images{hint}"

@@ -7,6 +7,7 @@ import numpy as np
 
 from adagmm_fusion.clouds.building import clouds_from_pair
 from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.frames.pose_readings import AS_GIVEN, READINGS
 from adagmm_fusion.pairs.fusion import mean_pose
 from adagmm_fusion.pairs.partners import partner_distance
 from adagmm_fusion.pairs.pose_deviations import pose_deviations
@@ -23,6 +24,9 @@ STANDARD_ERRORS = 2.0
 MIN_FRAMES = 2
 # Moments of each two sensors at which a recording's own rig is looked at.
 LOOKED_AT = 5
+# A rig's pose looks like its inverse, say, where that is no further from what is registered, and so many times nearer
+# than the pose itself.
+ALIKE_DEG, ALIKE_M, CLEARLY = 5.0, 0.15, 3.0
 
 Sensors = tuple[str, str]  # source, target
 
@@ -50,6 +54,8 @@ class SensorCheck:
 
     rotation_deg, translation_mm : how far the mean of the registered poses is from the rig's.
     rotation_spread_deg, translation_spread_mm : root mean square distance of the frames' poses from their mean.
+    looks_like : of a sensor that moved, what the rig's pose would have to be for it to be where it is registered: its
+        inverse, in millimetres ...; empty if it is nothing of the kind.
     T_target_source : that mean, None if fewer than two frames could be used or they have none; so are the numbers then.
     """
 
@@ -62,6 +68,7 @@ class SensorCheck:
     rotation_spread_deg: float | None = None
     translation_spread_mm: float | None = None
     T_target_source: np.ndarray | None = None
+    looks_like: str = ""
 
 
 def check_rig(
@@ -104,7 +111,8 @@ def rig_notes(
         check, (source, target) = judged(*sensors, frames, poses[sensors], *limits), sensors
         if check.verdict == MOVED:
             off = f"{check.rotation_deg:.1f}° and {check.translation_mm:.0f} mm"
-            yield f"the rig's pose of {source} to {target} does not fit: registered it is {off} off; see verify"
+            like = f"; it looks like {check.looks_like}" if check.looks_like else ""
+            yield f"the rig's pose of {source} to {target} does not fit: registered it is {off} off{like}; see verify"
 
 
 def _checked_frames(
@@ -176,8 +184,29 @@ def judged(
     else:
         verdict = UNDECIDED
     return SensorCheck(
-        source, target, verdict, frames, moved.rotation_deg, translation_mm, spread_deg, spread_mm, T_mean
+        source,
+        target,
+        verdict,
+        frames,
+        moved.rotation_deg,
+        translation_mm,
+        spread_deg,
+        spread_mm,
+        T_mean,
+        _looks_like(T_rig, T_mean) if verdict == MOVED else "",
     )
+
+
+def _looks_like(T_rig: np.ndarray, T_mean: np.ndarray) -> str:
+    """The reading of a rig's pose that is where the sensor is registered, while the pose itself is clearly not."""
+
+    def off(T: np.ndarray) -> float:
+        errors = pose_errors(T, T_mean)
+        return max(errors.rotation_deg / ALIKE_DEG, errors.translation / ALIKE_M)
+
+    readings = {name: off(read(T_rig)) for name, read in READINGS.items()}
+    name = min(readings, key=lambda name: readings[name])
+    return name if readings[name] <= min(1.0, readings[AS_GIVEN] / CLEARLY) else ""
 
 
 def _check_frame(recording: Recording, index: int, T_rig: np.ndarray, settings: Settings) -> FrameCheck:

@@ -16,6 +16,7 @@ from adagmm_fusion.pairs.fusion import RigEstimate, fused_cloud, mean_pose, save
 from adagmm_fusion.pairs.pipeline import register_pair
 from adagmm_fusion.pairs.record import PairRecord, pair_record
 from adagmm_fusion.pairs.report import Report, as_json, markdown, terminal_table, write_report
+from adagmm_fusion.pairs.scaled_ways import scaled_ways_notes
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.pairs.stages import Stage
 from adagmm_fusion.recordings.opening import open_recording
@@ -224,3 +225,35 @@ def test_the_mean_of_poses_lies_in_the_middle():
     np.testing.assert_allclose(mean_pose(poses), center, rtol=0, atol=1e-12)
     assert mean_pose([]) is None
     assert mean_pose([np.eye(4), np.diag([-1.0, -1.0, 1.0, 1.0])]) is None  # half a turn apart: no rotation is nearest
+
+
+def moved(way: float, times: float, turn_deg: float = 0.1, **more) -> PairRecord:
+    """Registered `way` metres off, and by its ground truth so many times as far."""
+    found, true = np.eye(4), np.eye(4)
+    found[2, 3], true[2, 3] = way, times * way
+    true[:3, :3] = so_exp((0.0, np.radians(turn_deg), 0.0))
+    values = {"T_target_source": found.tolist(), "T_target_source_truth": true.tolist(), "trustworthy": True}
+    return replace(GOOD, **(values | more))
+
+
+def test_poses_in_another_unit_than_the_depth_are_said_to_be():
+    scaled = [moved(way, 0.4) for way in (0.1, 0.2, 0.3)]
+    (note,) = scaled_ways_notes(scaled)
+    assert note.startswith("the ways between the known poses look 2.5 times too short: of 3 pairs the rotations are as")
+    assert scaled_ways_notes(scaled, [note]) == []
+
+
+@pytest.mark.parametrize(
+    "records",
+    [
+        [moved(way, 0.95) for way in (0.1, 0.2, 0.3)],
+        [moved(0.1, times) for times in (0.3, 1.0, 2.0)],
+        [moved(way, 0.4, turn_deg=5.0) for way in (0.1, 0.2, 0.3)],
+        [moved(way, 0.4, trustworthy=False) for way in (0.1, 0.2, 0.3)],
+        [moved(0.01, 0.4)] * 3,
+        [moved(0.1, 0.4)] * 2,
+        [BROKEN, UNKNOWN, GOOD] * 3,
+    ],
+)
+def test_poses_that_may_be_in_the_depths_unit_are_not(records):
+    assert scaled_ways_notes(records) == []

@@ -27,6 +27,7 @@ from adagmm_fusion.pairs.pipeline import PairOutcome, compile_kernels, run_pairs
 from adagmm_fusion.pairs.plausibility import recording_warnings
 from adagmm_fusion.pairs.record import PairRecord, pair_record
 from adagmm_fusion.pairs.report import FULL_WIDTH, Report, terminal_table, write_report
+from adagmm_fusion.pairs.scaled_ways import scaled_ways_notes
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.processes.interruption import exit_code
 from adagmm_fusion.processes.terminal import printable, table_console
@@ -130,7 +131,7 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
             pairs_asked=len(indices),
             records=records,
             interrupted=stopped is not None,
-            notes=notes,
+            notes=(*notes, *scaled_ways_notes(records, notes)),
             results=results,
         )
         paths = write_report(folder, report)

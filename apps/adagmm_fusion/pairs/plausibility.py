@@ -17,6 +17,7 @@ from adagmm_o3d.errors import AdaGMMError
 FRAMES, PAIRS = 4, 3
 # What known ways are multiplied by to see whether the depth images agree better.
 WAYS = np.geomspace(0.05, 20.0, 61)
+WAYS_LOOK = "the ways between the known poses look"
 
 
 def recording_warnings(recording: Recording) -> tuple[str, ...]:
@@ -107,7 +108,7 @@ def _ways_warning(pairs: Sequence[RGBDPair]) -> str | None:
         return None
     wrong = f"{1 / best:.2g} times too long" if best < 1.0 else f"{best:.2g} times too short"
     return (
-        f"the ways between the known poses look {wrong}: put right, {100 * shares[best]:.0f} % of the points agree, as "
+        f"{WAYS_LOOK} {wrong}: put right, {100 * shares[best]:.0f} % of the points agree, as "
         f"they are {100 * given:.0f} %; are poses and depth in one unit?"
     )
 

@@ -121,7 +121,9 @@ def _refined(
         if met.share < (least_share if number == STEPS - 1 else LEAST_SHARE) or met.alike.sum() < LEAST_PAIRS:
             return None, alike
         off, weights = met.residuals(spacing)
-        rows = np.concatenate([met.motions(), (met.at * met.axes).sum(axis=1, keepdims=True)], axis=1)[:, free]
+        # Half-way between the two of a pair: by one side alone, its noise would pass for size, and ask for less.
+        outward = ((met.at + 0.5 * met.across) * met.axes).sum(axis=1, keepdims=True)
+        rows = np.concatenate([met.motions(), outward], axis=1)[:, free]
         hessian = (rows * weights[:, None]).T @ rows
         hessian += 1e-9 * np.trace(hessian) * np.eye(len(free))
         delta = np.zeros(7)

@@ -103,6 +103,7 @@ CAMERAS = {
     "4x4": ("intrinsic/intrinsic_color.txt", "140 0 79 0\n0 141 60.5 0\n0 0 1 0\n0 0 0 1\n"),
     "four numbers": ("K.txt", "140 141 79 60.5"),
     "lines of names": ("camera.txt", "fx = 140\nfy = 141\ncx: 79\ncy: 60.5\n"),
+    "names on a line": ("K.txt", "fx 140 fy: 141, cx=79 cy = 60.5\n"),
     "nested json": ("calib.json", json.dumps({"rgb": {"fx": 140, "fy": 141, "ppx": 79, "ppy": 60.5}, **JSON})),
     "rows": ("k.json", json.dumps({"K": SMALL.matrix().tolist()})),
     "columns": ("camera_intrinsics.json", json.dumps({"intrinsic_matrix": SMALL.matrix().T.ravel().tolist(), **JSON})),
@@ -292,6 +293,18 @@ def test_poses_without_numbers_are_of_the_images_in_order(tmp_path, kind):
     write_text(tmp_path / "poses.txt", pose_rows([*POSES, POSES[0]], lambda i, T: numbers(T)))
     with pytest.raises(RecordingError, match="expected 2 poses, as there are frames, got 4; put each frame's number"):
         open_recording(tmp_path)
+
+
+def test_poses_without_numbers_are_of_all_numbers_where_either_list_lacks_images(tmp_path):
+    poses = [POSES[0] @ camera_pose(2.0 * i, (0.01 * i, 0.0, 0.0)) for i in range(6)]
+    layout(tmp_path, "color/{i:06d}.png", "depth/{i:06d}.png", poses=poses)
+    (tmp_path / "color" / "000004.png").unlink()
+    (tmp_path / "depth" / "000002.png").unlink()
+    write_text(tmp_path / "poses.txt", "".join(" ".join(map(str, pose.ravel())) + "\n" for pose in poses))
+    recording = open_recording(tmp_path)
+    assert [entry.name for entry in recording.entries] == ["000000", "000001", "000003", "000005"]
+    for entry in recording.entries:
+        np.testing.assert_allclose(entry.T_world_camera, poses[int(entry.name)], rtol=0, atol=1e-9)
 
 
 def test_poses_without_numbers_that_may_be_of_either_images_are_refused(tmp_path):

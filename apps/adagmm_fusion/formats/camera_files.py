@@ -58,6 +58,9 @@ FOLDER_NAME = re.compile(r"intrinsic|calib|camera", re.IGNORECASE)
 ORB_SLAMS = re.compile(r"^Camera1?\.fx[ \t]*:", re.MULTILINE)
 # An image size, as in 640x480.
 IN_NAME = re.compile(r"(?<!\d)(\d{2,5}) ?[xX] ?(\d{2,5})(?!\d)")
+# Names with their values, several on a line.
+NAMED = re.compile(rf"[A-Za-z_]\w*(?:\s*[:=]\s*|\s+){NUMBER.pattern}")
+SEVERAL = re.compile(rf"(?:{NAMED.pattern}[\s,;]*){{2,}}")
 FEW_VALUES = "a 3x3 or 4x4 matrix or fx fy cx cy"
 EXPECTED = f"{FEW_VALUES}, or width height fx fy cx cy, or names (fx, fy, cx, cy) with their values"
 # A principal point further from the middle than these shares of the image is rather that of another image size.
@@ -163,6 +166,7 @@ def read_camera_file(path: Path) -> CameraFile | None:
 def _named_values(path: Path, text: str) -> dict[str, Any]:
     """The values of lines such as "fx: 525", in objects by the [section] above them, or of a table with headings."""
     rows = [line for line in (re.sub(r"#.*", "", line).strip() for line in text.splitlines()) if line]
+    rows = [part for row in rows for part in (SEVERAL.fullmatch(row) and NAMED.findall(row)) or [row]]
     table = [re.split(r"[,;\s]+", row.strip(",; ")) for row in rows]
     if len(table) > 1 and len(table[0]) > 1 and all(re.fullmatch(r"[A-Za-z_]\w*", word) for word in table[0]):
         if len({tuple(row) for row in table[1:]}) == 1 and len(table[1]) == len(table[0]):

@@ -219,7 +219,7 @@ def _by_line(
     path: Path, poses: list[np.ndarray | None], folder: Path, images: Sequence[Path]
 ) -> list[np.ndarray | None]:
     """The poses of a file without numbers: a line a frame, or, where some have no partner, a line a colour or a depth
-    image, in order."""
+    image, or a number that any of them has, in order."""
     if len(poses) == len(images):
         return list(poses)
     lists = find_images(folder)
@@ -230,6 +230,11 @@ def _by_line(
             place = {image: i for i, image in enumerate(sorted(all_images, key=in_order(lists)))}
             if len(all_images) == len(poses) and all(image in place for image in own):
                 found.append([place[image] for image in own if image is not None])
+        # Where either list lacks images, all of them may be numbered.
+        numbers = {path: number_of(_without_kind(path)) for path in (*lists.colors, *lists.depths)}
+        row = {at: i for i, at in enumerate(sorted({n for n in numbers.values() if n is not None}))}
+        if not found and None not in numbers.values() and len(row) == len(poses):
+            found.append([row[at] for path in images if (at := numbers[path]) is not None])
     if not found or any(places != found[0] for places in found):
         which = ", and colour and depth images count differently" if found else ""
         raise RecordingError(

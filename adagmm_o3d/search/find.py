@@ -51,6 +51,9 @@ SETTLED, HOLDS = 0.5, HELD[1]
 # clouds rather lie apart. In the plane, where nothing is known of what holds, only without a search. Where another pose
 # is right none does (377 pairs).
 STAYED, STAYS, LITTLE_SHARED = 0.2, 0.65, -0.5
+# Evidence above which an end near the start counts where it holds: of clouds that share a half it may be about none. If
+# nobody vouched for the start, and elsewhere more holds and more is explained, no further from it than this.
+COUNTS, NEARBY = -0.1, 0.5
 # Where the first few proposals of features establish no pose, so many times as many are tried.
 MORE = 4
 # What is assumed of points without a partner where σ begins anew.
@@ -244,23 +247,24 @@ def _found(judge: Judge, near: list[Candidate], pool: list[Candidate], vouched: 
 
 
 def _chosen(near: list[Candidate], pool: list[Candidate], known: float, *, vouched: bool) -> tuple[End, list[Array]]:
-    """The best of all, or the nearest to the given start of those near it that hold no less, or may be right, or to
-    which none is clearly better; and its rivals. Evidence above `known` may be a right pose's, near a start that was
-    `vouched` for all above zero where that is finite."""
+    """The best of all, or the nearest to the given start of those near it that hold no less, or as the halves of a
+    cloud do, or to which none is clearly better; and its rivals. Evidence above `known` may be a right pose's, close to
+    the start, or near one that was `vouched` for, all above COUNTS where that is finite."""
     ranked = _ranked([*near, *pool])
     best = ranked[0]
     at_start = next((one for one in ranked if one in near), None)
     # Where clouds share little or shapes repeat themselves, walls come together and shelves fall on shelves in wrong
     # ways that explain more than the right one; but they hold less. Not beside what is certain, or what colours say.
     more = best.held + ALIKE_HELD if best in near else best.held
-    plausible = [one for one in near if known < math.inf and one.evidence > 0.0]
+    plausible = [one for one in near if known < math.inf and one.evidence > COUNTS]
     right = [one for one in plausible if one.held >= more]
     stayed = _stayed(near, vouched=vouched) if known < math.inf else []
     if best in near:
         right.append(best)
     else:
-        least = 0.0 if vouched and known < math.inf else known
-        right += [one for one in near if one.evidence > least and holds(one.held) and one not in right]
+        # As much as the halves of a cloud hold is no less.
+        as_halves = [one for one in plausible if holds(one.held) and one not in right]
+        right += [one for one in as_halves if vouched or one.evidence > known or _moved(one.end) < NEARBY]
         if vouched:
             right += [one for one in stayed if one not in right]
         # What explains clearly more and is close by is where such a one was on the way to.

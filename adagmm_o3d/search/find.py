@@ -24,7 +24,7 @@ from adagmm_o3d.search.levels import Levels
 from adagmm_o3d.search.rotations import APART_AMBIGUOUS, search_globally
 from adagmm_o3d.search.schedule import SAME_START
 from adagmm_o3d.trust.agreement import HELD, log_held
-from adagmm_o3d.trust.judge import ALIKE_HELD, CERTAIN, KNOWN_AGAIN, Judge, holds
+from adagmm_o3d.trust.judge import ALIKE_HELD, CERTAIN, KNOWN_AGAIN, Judge, holds, of_rival
 from adagmm_o3d.trust.rivals import SIGMA, refined
 
 # Evidence above which a pose stands by itself [nats per point, both clouds together], see `judge.Judge.evidence`, and
@@ -283,7 +283,8 @@ def _chosen(near: list[Candidate], pool: list[Candidate], known: float, *, vouch
     # What is beside a surface may have come there since: a pose that holds less but explains as much is a rival.
     others = [(one.end, one.evidence) for one in ranked if one is not best]
     rivals = _rivals([(best.end, best.evidence), *others], AMBIGUOUS)
-    explaining = [one for one in (*near, *pool) if one.evidence > known and _apart_from(best, one.end.pose)]
+    least = of_rival(known, best.evidence)
+    explaining = [one for one in (*near, *pool) if one.evidence > least and _apart_from(best, one.end.pose)]
     rivals += [one.end.pose for one in explaining if holds(one.held, best.held)]
     # What slid a little from where the best is too is no other place.
     return best.end, rivals + [one.end.pose for one in stayed if _apart_from(best, one.end.start)]

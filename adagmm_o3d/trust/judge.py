@@ -44,6 +44,9 @@ SUITED = ((1.0, UNMATCHED), (1.0, 0.6), (0.06, 0.6))
 # A pose may be right that explains this share of what the halves of a cloud do: clouds that lack two ends of a room
 # share the rest.
 KNOWN_AGAIN = 0.5
+# And beside another one, that share of what the other explains: of bodies of which either cloud lacks another end, the
+# halves lie on each other turned by half a turn as well, and in more of them.
+AGAINST = 0.25
 # And that holds no less than another one, but for so much: with the handle of a mug on the other side less holds.
 ALIKE_HELD = 0.01
 # A pose that explains the clouds so many times as well as the halves of one explain each other is certain: the same
@@ -154,6 +157,11 @@ class Judge:
                 return sigma, known, coarsened
             sigma *= COARSER
         raise AssertionError
+
+
+def of_rival(known: float, own: float) -> float:
+    """Evidence above which a pose is a rival of one that has `own`; see `Judge.known`."""
+    return min(known, AGAINST * own) if known < math.inf else known
 
 
 def holds(held: float, beside: float = 0.0) -> bool:

@@ -20,7 +20,7 @@ from adagmm_o3d.mixtures.merging import MergedMixture
 from adagmm_o3d.mixtures.sampling import some_of
 from adagmm_o3d.neighbors import NeighborIndex
 from adagmm_o3d.trust.agreement import Surface
-from adagmm_o3d.trust.judge import Judge
+from adagmm_o3d.trust.judge import Judge, of_rival
 from adagmm_o3d.trust.laying import Facing, facing, laid_poses
 
 # Axes all around that half turns are tried about, and by how many points of the source and how near the target each
@@ -52,7 +52,8 @@ def margin_over_turned(judge: Judge, pose: Array, held: float) -> float:
         ends = others(best_of(ends, judge.explained(sides, ends)), 1)
     margin = judge.confidence(pose, 1.0) - max((judge.confidence(end, 1.0) for end in ends), default=-math.inf)
     # One that explains as much as a right pose does may be right, however much more this one explains.
-    known = judge.known(float(judge.evidence([pose])[0]))
+    own = float(judge.evidence([pose])[0])
+    known = of_rival(judge.known(own), own)
     return min(margin, 0.0) if any(judge.may_be_right(end, known, held) for end in ends) else margin
 
 

@@ -1,5 +1,6 @@
 """Any start and any overlap, and knowing when it is wrong: parts of shapes, unrelated shapes, viewpoints."""
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -148,7 +149,8 @@ def test_of_a_pose_of_more_evidence_that_holds_less_the_other_is_taken(held_ther
 
     judge, hopeless = SimpleNamespace(held=held), se_exp(np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
     pool = [
-        find.Candidate(judge, end_at(pose), value) for pose, value in ((THERE, 0.3), (np.eye(4), 0.1), (hopeless, -1.0))
+        find.Candidate(judge, end_at(pose), value)
+        for pose, value in ((THERE, 0.3), (np.eye(4), 0.06), (hopeless, -1.0))
     ]
     end, rivals = find._chosen([], pool, 0.5, vouched=False)
     np.testing.assert_array_equal(end.pose, chosen)
@@ -196,7 +198,7 @@ def test_a_start_that_may_be_right_is_kept_though_elsewhere_more_is_explained(at
     assert all(np.array_equal(rival, THERE) for rival in rivals) and bool(rivals) == kept
 
 
-@pytest.mark.parametrize("evidence, held, rival", [(0.6, 1.0, True), (0.6, 0.8, False), (0.4, 1.0, False)])
+@pytest.mark.parametrize("evidence, held, rival", [(0.6, 1.0, True), (0.6, 0.8, False), (0.3, 1.0, False)])
 def test_a_pose_that_explains_as_much_as_halves_of_a_cloud_do_is_a_rival_of_one_that_explains_more(
     evidence, held, rival
 ):
@@ -234,6 +236,18 @@ def test_a_given_start_that_stays_and_mostly_holds_is_kept_with_a_rival(vouched,
     end, rivals = find._chosen([near], [there], 1.4, vouched=vouched)
     np.testing.assert_array_equal(end.pose, pose if kept else THERE)
     assert bool(rivals) == kept
+
+
+@pytest.mark.parametrize("evidence, held, rival", [(0.3, 1.0, True), (0.3, 0.9, False), (0.1, 1.0, False)])
+def test_a_pose_that_explains_a_quarter_of_what_the_chosen_one_does_is_a_rival_if_it_holds_no_less(
+    evidence, held, rival
+):
+    judge = SimpleNamespace(held=lambda pose: held if np.array_equal(pose, THERE) else 1.0)
+    pool = [find.Candidate(judge, end_at(pose), value) for pose, value in ((np.eye(4), 0.9), (THERE, evidence))]
+    end, rivals = find._chosen([], pool, 0.8, vouched=False)
+    np.testing.assert_array_equal(end.pose, np.eye(4))
+    assert bool(rivals) == rival
+    assert not find._chosen([], pool, math.inf, vouched=False)[1]  # beside what is certain there is none
 
 
 @pytest.mark.parametrize("vouched", [True, False])

@@ -187,7 +187,7 @@ def test_the_size_of_nerfstudios_images_is_that_of_the_first_that_can_be_read(tm
         ({"k1": 0.1, "k9": 3.0, "dist9": 2.0}, "dist9: this lens distortion is not understood"),
         ({"is_fisheye": True, "k1": 0.1}, "isfisheye: expected plumb_bob or rational_polynomial, got True"),
         ({"applied_scale": 0}, "applied_scale: expected a positive number, got 0"),
-        ({"fl_x": 0.92}, "fx: expected pixels, got 0.92 for images 160 pixels wide; were they divided by the image's"),
+        ({"fl_x": 0.92}, "fx: expected pixels, got 0.92 for a width of 160; were they divided by the image's"),
         ({"k1": 0.1, "k4": 0.01}, "k4: expected 0, OpenCV's k4 means something else"),
     ],
 )

@@ -49,7 +49,7 @@ def test_the_same_colours_for_both(own):
 
 
 ABSURD = [
-    {"fx": 1e-9, "fy": 1e-9},
+    {"fx": 0.4, "fy": 0.4},
     {"fx": 1e9, "fy": 1e9},
     {"cx": -1e9, "cy": 1e9},
     {"distortion": (1e300, -1e300, 0.0, 0.0)},
@@ -74,6 +74,12 @@ def test_absurd_intrinsics_are_no_success(own, changes):
 def test_intrinsics_beyond_all_measure(changes):
     with pytest.raises(InputError, match=r"^intrinsics\.[fc][xy]: expected pixels, up to 1e\+09, got "):
         rig_with(**changes)
+
+
+@pytest.mark.parametrize("focal", [1e-9, 0.3])
+def test_focal_lengths_that_were_divided_by_the_images_size(focal):
+    with pytest.raises(InputError, match=rf"^intrinsics\.fx: expected pixels, got {focal:g} for a width of 16; were"):
+        rig_with(fx=focal, fy=focal)
 
 
 @pytest.mark.parametrize("depth_scale", [1e-300, 1e-5, 1e9, 1e300])

@@ -91,13 +91,13 @@ class PinholeIntrinsics:
             value = getattr(self, name)
             if name in ("fx", "fy") and value <= 0:
                 raise InputError(f"intrinsics.{name}: expected a positive focal length, got {value:g}")
-            if name in ("fx", "fy") and value < LEAST_FOCAL * self.width:
-                raise InputError(
-                    f"intrinsics.{name}: expected pixels, got {value:g} for images {self.width} pixels wide; were they "
-                    "divided by the image's size?"
-                )
             if abs(value) > MAX_PX or (name in ("fx", "fy") and value < 1.0 / MAX_PX):
                 raise InputError(f"intrinsics.{name}: expected pixels, up to {MAX_PX:g}, got {value:g}")
+            if name in ("fx", "fy") and value < LEAST_FOCAL * self.width:
+                raise InputError(
+                    f"intrinsics.{name}: expected pixels, got {value:g} for a width of {self.width}; were they divided "
+                    "by the image's size?"
+                )
         distortion = tuple(_finite(k, f"intrinsics.distortion[{i}]") for i, k in enumerate(self.distortion))
         if len(distortion) not in DISTORTION_LENGTHS:
             wanted = ", ".join(map(str, DISTORTION_LENGTHS))

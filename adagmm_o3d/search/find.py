@@ -297,9 +297,9 @@ def _apart_from(one: Candidate, pose: Array) -> bool:
 
 def _stayed(near: list[Candidate], *, vouched: bool) -> list[Candidate]:
     """Those that hold about where they were left."""
-    least, held = (LITTLE_SHARED, STAYS) if vouched else (0.0, HOLDS)
+    least = LITTLE_SHARED if vouched else 0.0
     there = [one for one in near if one.evidence > least and _moved(one.end) < STAYED]
-    return [one for one in there if holds(one.held) or (one.evidence > 0.0 and one.held >= held)]
+    return [one for one in there if holds(one.held) or (vouched and one.evidence > 0.0 and one.held >= STAYS)]
 
 
 def _nearest(candidates: list[Candidate]) -> Candidate:

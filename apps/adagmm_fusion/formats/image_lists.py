@@ -109,10 +109,7 @@ def constant_lag(lists: ImageLists) -> float | None:
     """By how much the numbers or times in the depth images' names are beyond those of as many colour images, in order,
     all alike and by more than half a step; None where it is not so."""
     times = _date_times(lists)
-    numbers = [
-        sorted(n for path in paths if (n := times.get(path, number_of(path))) is not None)
-        for paths in (lists.colors, lists.depths)
-    ]
+    numbers = [sorted(number for number, _ in _numbered(paths, times)) for paths in (lists.colors, lists.depths)]
     if len(numbers[0]) != len(numbers[1]) or len(numbers[0]) < LEAST_ALIKE:
         return None
     lags, step = np.subtract(numbers[1], numbers[0]), float(np.median(np.diff(numbers[0])))
@@ -211,11 +208,16 @@ def _date_times(lists: ImageLists) -> dict[Path, float]:
     return times
 
 
+def _numbered(paths: Collection[Path], dates: dict[Path, float]) -> list[tuple[float, Path]]:
+    """The images that have a time or a number in their names, each with it."""
+    return [(number, path) for path in paths if (number := dates[path] if dates else number_of(path)) is not None]
+
+
 def _paired_by_time(lists: ImageLists, dates: dict[Path, float]) -> list[tuple[str, Path, Path]]:
     """Each depth image with the colour image nearest in time, each once, the best partners first."""
     times = []
     for paths in (lists.colors, lists.depths):
-        known = [(number, path) for path in paths if (number := dates[path] if dates else number_of(path)) is not None]
+        known = _numbered(paths, dates)
         units = 1.0 if dates else units_per_second(number for number, _ in known)
         times.append([(number / units, path) for number, path in known])
     if not times[0] or not times[1]:

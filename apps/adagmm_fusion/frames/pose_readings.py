@@ -104,14 +104,15 @@ def best_reading(pairs: Iterable[PosedPair]) -> BestReading:
     given = means[AS_GIVEN]
     too_near = {name for name in READINGS for unit, least in LEAST_WAY.items() if unit in name and ways[name] < least}
     best = max(means.keys() - too_near, key=lambda name: (means[name], -list(READINGS).index(name)))
-    if not _clearly_better(means[best], given):
+    if not clearly_better(means[best], given):
         best = AS_GIVEN
     at_one_place = max((means[name] for name in too_near), default=0.0)
-    at_one_place = at_one_place if _clearly_better(at_one_place, means[best]) else 0.0
+    at_one_place = at_one_place if clearly_better(at_one_place, means[best]) else 0.0
     return BestReading(best, means[best], given, at_one_place)
 
 
-def _clearly_better(share: float, than: float) -> bool:
+def clearly_better(share: float, than: float) -> bool:
+    """Whether a share of agreeing points is no coincidence beside another one."""
     return share >= max(CLEARLY * than, than + CLEARLY_MORE, LEAST_SHARE)
 
 

@@ -17,7 +17,7 @@ from adagmm_o3d.lie import project_to_rotation
 DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 MAX_COORDINATE = 1e12  # metres; products of a few such numbers are finite
 MAX_PX = 1e9  # of a focal length or principal point; the inverse of a focal length is bounded as well
-LEAST_FOCAL = 0.02  # of the image's width: half of a view of 175°
+LEAST_FOCAL = 0.02  # of the image's width: a view of 175°
 DEPTH_DTYPES = (np.dtype(np.uint16), np.dtype(np.float32), np.dtype(np.float64))
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from adagmm_fusion.frames.depth_checks import UNIT_MISTAKES, color_offset, looks_like_disparity, unit_mistake
-from adagmm_fusion.frames.pose_readings import CLEARLY, CLEARLY_MORE, LEAST_SHARE, agreeing_share, sampled_points
+from adagmm_fusion.frames.pose_readings import agreeing_share, clearly_better, sampled_points
 from adagmm_fusion.frames.rgbd import RGBDFrame, RGBDPair
 from adagmm_fusion.pairs.mirrored import looks_mirrored
 from adagmm_fusion.recordings.frame_sequence import Recording
@@ -33,7 +33,10 @@ def recording_warnings(recording: Recording) -> tuple[str, ...]:
             names = f"{pair.source.sensor} or {pair.target.sensor}"
             warnings.append(f"{names} looks mirrored: their features agree only if one image is flipped left to right")
             break
-    scale = None if any("depth_scale" in text for text in warnings) else _scale_warning(pairs) or _ways_warning(pairs)
+    known = [pair for pair in pairs if pair.T_target_source is not None and np.any(pair.T_target_source[:3, 3])]
+    scale = None
+    if known and not any("depth_scale" in text for text in warnings):
+        scale = _scale_warning(known) or _ways_warning(known)
     return (*warnings, *extrinsics_notes(recording), *([] if scale is None else [scale]))
 
 
@@ -64,11 +67,8 @@ def sensor_warnings(frames: Sequence[RGBDFrame]) -> list[str]:
     return warnings
 
 
-def _scale_warning(pairs: Sequence[RGBDPair]) -> str | None:
+def _scale_warning(known: Sequence[RGBDPair]) -> str | None:
     """Whether the known poses say that the depth has another unit: then it agrees only if it is scaled."""
-    known = [pair for pair in pairs if pair.T_target_source is not None and np.any(pair.T_target_source[:3, 3])]
-    if not known:
-        return None
 
     def share(times: float) -> float:
         scaled = [(_scaled(pair.source, times), _scaled(pair.target, times), pair.T_target_source) for pair in known]
@@ -77,7 +77,7 @@ def _scale_warning(pairs: Sequence[RGBDPair]) -> str | None:
     given = share(1.0)
     shares = {times: share(times) for times in UNIT_MISTAKES}
     best = max(shares, key=lambda times: shares[times])
-    if shares[best] < max(CLEARLY * given, given + CLEARLY_MORE, LEAST_SHARE):
+    if not clearly_better(shares[best], given):
         return None
     return (
         f"the depth looks {_times(best)}: by the known poses {100 * shares[best]:.0f} % of the points agree if that is "
@@ -85,11 +85,8 @@ def _scale_warning(pairs: Sequence[RGBDPair]) -> str | None:
     )
 
 
-def _ways_warning(pairs: Sequence[RGBDPair]) -> str | None:
+def _ways_warning(known: Sequence[RGBDPair]) -> str | None:
     """Whether the ways between known poses are all so many times too long or short for what the depth images show."""
-    known = [pair for pair in pairs if pair.T_target_source is not None and np.any(pair.T_target_source[:3, 3])]
-    if not known:
-        return None
     points = [sampled_points(pair.source) for pair in known]
 
     def share(times: float) -> float:
@@ -104,7 +101,7 @@ def _ways_warning(pairs: Sequence[RGBDPair]) -> str | None:
     given = share(1.0)
     shares = {float(times): share(times) for times in WAYS}
     best = max(shares, key=lambda times: shares[times])
-    if shares[best] < max(CLEARLY * given, given + CLEARLY_MORE, LEAST_SHARE):
+    if not clearly_better(shares[best], given):
         return None
     wrong = f"{1 / best:.2g} times too long" if best < 1.0 else f"{best:.2g} times too short"
     return (

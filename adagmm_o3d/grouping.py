@@ -26,29 +26,34 @@ class Groups:
     """
 
     def __init__(self, labels: NDArray[np.int64], weights: Array) -> None:
-        self._order = np.argsort(labels, kind="stable")
-        ordered = labels[self._order]
-        self._first = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
-        self._weights = weights[self._order]
+        order = np.argsort(labels, kind="stable")
+        ordered = labels[order]
+        begins = np.concatenate([[True], ordered[1:] != ordered[:-1]])
+        self._count = int(begins.sum())
+        self._groups = np.empty(len(labels), np.int64)
+        self._groups[order] = np.cumsum(begins) - 1
+        self._weights = np.ascontiguousarray(weights, np.float64)
 
     def __len__(self) -> int:
-        return len(self._first)
+        return self._count
 
     @cached_property
     def total(self) -> Array:
-        return np.add.reduceat(self._weights, self._first)
+        return np.asarray(np.bincount(self._groups, self._weights, self._count), np.float64)
 
     def means(self, values: Array) -> Array:
         """(k, …) weighted means of (n, …) values of the points."""
-        flat = values.reshape(len(values), -1)[self._order] * self._weights[:, None]
-        return (np.add.reduceat(flat, self._first, axis=0) / self.total[:, None]).reshape(-1, *values.shape[1:])
+        # Compiled kernels come with Numba, which is imported with the first of them.
+        from adagmm_o3d.kernels.cpu.groups import add_to_groups
+
+        flat = np.ascontiguousarray(values.reshape(len(values), -1), np.float64)
+        sums = np.zeros((self._count, flat.shape[1]))
+        add_to_groups(flat, self._weights, self._groups, sums)
+        return (sums / self.total[:, None]).reshape(-1, *values.shape[1:])
 
     def each(self, values: Array) -> Array:
         """(n, …) for each point what (k, …) values say of its group."""
-        spread = np.empty((len(self._order), *values.shape[1:]))
-        sizes = np.diff(self._first, append=len(self._order))
-        spread[self._order] = values.repeat(sizes, axis=0)
-        return spread
+        return values[self._groups]
 
 
 def even_edge(points: Array) -> float | None:
@@ -82,11 +87,9 @@ def cell_numbers(points: Array, edges: Array, kinds: NDArray[np.int64] | None = 
 
     Negative, and a point's own, where that is too far out to have one. `kinds` are from 0 to MOST_KINDS - 1.
     """
-    half = 1 << (AXIS_BITS - 1)
-    places = np.floor(points / edges[:, None])
-    apart = (np.abs(places) >= half).any(axis=1)
-    numbers = np.zeros(len(points), np.int64) if kinds is None else kinds
-    for axis in range(points.shape[1]):
-        place = np.where(apart, 0.0, places[:, axis]).astype(np.int64) + half
-        numbers = (numbers << AXIS_BITS) | place
-    return np.where(apart, -1 - np.arange(len(points)), numbers)
+    from adagmm_o3d.kernels.cpu.groups import number_cells
+
+    numbers = np.empty(len(points), np.int64)
+    kinds = np.zeros(len(points), np.int64) if kinds is None else kinds
+    number_cells(np.ascontiguousarray(points, np.float64), edges, kinds, AXIS_BITS, numbers)
+    return numbers

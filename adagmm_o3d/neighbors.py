@@ -1,18 +1,13 @@
-"""Exact nearest neighbours in the plane and in space, by Open3D's k-d tree, or by our own where there is no Open3D."""
-
-from typing import Protocol
+"""Exact nearest neighbours in the plane and in space."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.errors import InputError
-from adagmm_o3d.lazy_open3d import is_installed, o3d
 
-
-class _Search(Protocol):
-    def query(self, queries: Array, k: int) -> tuple[NDArray[np.int64], Array]:
-        """Indices (M, k) and squared distances (M, k), nearest first."""
+# With fewer neighbours to find than this for each thread, starting it costs more than it brings.
+FOUND_PER_THREAD = 20_000
 
 
 class NeighborIndex:
@@ -20,7 +15,7 @@ class NeighborIndex:
 
     Parameters
     ----------
-    points : (N, D) float64, C-contiguous, at least one point.
+    points : (N, D) float64, at least one point.
     name : what an error calls them.
 
     Raises
@@ -31,11 +26,17 @@ class NeighborIndex:
     def __init__(self, points: Array, *, name: str = "points"):
         if len(points) == 0:
             raise InputError(f"{name}: expected at least one point, got none")
-        self._count = len(points)
-        self._search: _Search = Open3DSearch(points) if is_installed() else OwnSearch(points)
+        # Compiled kernels come with Numba, which is imported with the first search.
+        from adagmm_o3d.kernels.cpu.nearest_k import build_tree, count_nodes
+
+        points = np.ascontiguousarray(points, np.float64)
+        self._order = np.empty(len(points), np.int64)
+        self._boxes = np.empty((count_nodes(len(points)), 2, points.shape[1]))
+        build_tree(points, self._order, self._boxes)
+        self._tree = points[self._order]
 
     def query(self, queries: Array, knn: int = 1) -> tuple[NDArray[np.int64], Array]:
-        """The nearest points of every query, nearest first.
+        """The nearest points of every query, nearest first, of those equally near the first.
 
         Parameters
         ----------
@@ -46,39 +47,16 @@ class NeighborIndex:
         -------
         indices (M, k) int64 and squared distances (M, k) float64, k = min(knn, N).
         """
-        k = min(knn, self._count)
-        if len(queries) == 0:
-            return np.empty((0, k), np.int64), np.empty((0, k))
-        return self._search.query(np.ascontiguousarray(queries, np.float64), k)
-
-
-class Open3DSearch:
-    """Open3D's `NearestNeighborSearch`."""
-
-    def __init__(self, points: Array) -> None:
-        # the index reads this memory in place, so it is kept alive with it
-        self._points = o3d.core.Tensor.from_numpy(points)
-        self._index = o3d.core.nns.NearestNeighborSearch(self._points)
-        self._index.knn_index()
-
-    def query(self, queries: Array, k: int) -> tuple[NDArray[np.int64], Array]:
-        indices, squares = self._index.knn_search(o3d.core.Tensor.from_numpy(queries), k)
-        return indices.numpy(), squares.numpy()
-
-
-class OwnSearch:
-    """The kernel `nearest_k`."""
-
-    def __init__(self, points: Array) -> None:
-        # Compiled kernels come with Numba, which is imported with the first search.
-        from adagmm_o3d.kernels.cpu.nearest_k import build_tree
-
-        self._order, *self._planes = build_tree(points)
-        self._tree = points[self._order]
-
-    def query(self, queries: Array, k: int) -> tuple[NDArray[np.int64], Array]:
         from adagmm_o3d.kernels.cpu.nearest_k import nearest_k
+        from adagmm_o3d.kernels.cpu.ranges import run_in_ranges
 
+        k = min(knn, len(self._tree))
+        queries = np.ascontiguousarray(queries, np.float64)
         indices, squares = np.empty((len(queries), k), np.int64), np.empty((len(queries), k))
-        nearest_k(self._tree, self._order, *self._planes, queries, indices, squares)
+
+        def run(first: int, last: int) -> None:
+            part = slice(first, last)
+            nearest_k(self._tree, self._order, self._boxes, queries[part], indices[part], squares[part])
+
+        run_in_ranges(nearest_k, run, len(queries), len(queries) * k // FOUND_PER_THREAD)
         return indices, squares

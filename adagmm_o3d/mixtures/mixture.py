@@ -24,6 +24,7 @@ from adagmm_o3d.mixtures.checks import (
     refuse_indefinite,
     typical_variance,
 )
+from adagmm_o3d.principal import principal_axes, principal_variances
 
 # A factor between these costs a variance no digit.
 FACTORS = (1e-100, 1e100)
@@ -133,7 +134,7 @@ class Mixture:
         """(n,) the largest eigenvalue of each covariance: how far the point reaches."""
         if self.isotropic:
             return self.covariances[:, 0, 0].copy()
-        return _principal_variances(self.covariances[:, : self.dimension, : self.dimension])[:, -1]
+        return principal_variances(self.covariances[:, : self.dimension, : self.dimension])[:, -1]
 
     def centroid(self, weights: Array) -> Array:
         """(3,) mean of the points with (n,) weights."""
@@ -267,7 +268,7 @@ def _make_definite(name: str, c: Array, usable: NDArray[np.bool_]) -> tuple[Arra
             skew = np.abs(c - mirrored).max(axis=(1, 2))
             _refuse(refuse_asymmetric, name, skew > ROUNDING * np.abs(c).max(axis=(1, 2)), usable)
             c = 0.5 * c + 0.5 * mirrored
-        eigenvalues = _principal_variances(c)
+        eigenvalues = principal_variances(c)
         least, largest = eigenvalues[:, 0], eigenvalues[:, -1]
     _refuse(refuse_indefinite, name, least < -ROUNDING * np.maximum(largest, -least), usable)
     empty = largest < SMALLEST
@@ -291,20 +292,9 @@ def _refuse(refuse: Callable[..., NoReturn], name: str, bad: NDArray[np.bool_], 
         refuse(name, np.flatnonzero(usable)[bad])
 
 
-def _principal_variances(c: Array) -> Array:
-    """(n, D) ascending eigenvalues of (n, D, D) covariances."""
-    if c.shape[1] == 3:
-        return np.asarray(np.linalg.eigvalsh(c), np.float64)
-    xx, xy, yy = c[:, 0, 0], c[:, 0, 1], c[:, 1, 1]
-    mean, deviation = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
-    eigenvalues = np.empty((len(c), 2))
-    eigenvalues[:, 0], eigenvalues[:, 1] = mean - deviation, mean + deviation
-    return eigenvalues
-
-
 def _thickened(c: Array) -> tuple[Array, Array]:
     """Covariances with no principal variance below EPSILON times the largest, as in Generalized ICP, and these."""
-    variances, axes = np.linalg.eigh(c)
+    variances, axes = principal_axes(c)
     variances = np.maximum(variances, EPSILON * variances[:, -1:])
     return (axes * variances[:, None, :]) @ axes.transpose(0, 2, 1), variances
 

@@ -21,6 +21,7 @@ from adagmm_o3d.kernels.cpu.features import BINS, FEATURE, describe, nearest_fea
 from adagmm_o3d.mixtures.merging import FLAGGED
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.sampling import some_of
+from adagmm_o3d.principal import principal_axes
 
 # Points of a thinned cloud, from how many of the cloud's, and how many of these each stands for at least: the normal of
 # fewer is noise. With fewer thinned points than FEWEST no shape is left to recognise.
@@ -116,7 +117,7 @@ def _thinned(mixture: Mixture, edge: float) -> Thinned:
     scatter = np.empty((len(means), 3, 3))
     reach = max(NORMAL_RADIUS, math.sqrt(NORMAL_POINTS * len(means) / (math.pi * len(points))))
     scatter_around(points, means, reach * edge, scatter)
-    normals = np.ascontiguousarray(np.linalg.eigh(scatter)[1][:, :, 0])
+    normals = np.ascontiguousarray(principal_axes(scatter)[1][:, :, 0])
     features = np.empty((len(means), FEATURE))
     describe(means, normals, FEATURE_RADIUS * edge, features)
     return Thinned(means, normals, features.astype(np.float32))

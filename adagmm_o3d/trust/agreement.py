@@ -73,10 +73,9 @@ class Surface:
         self.index = NeighborIndex(self.points)
         self.spacing = spacing_of(self.points)
         indices, squares = self.index.query(self.points, NEIGHBORS[dimension] + 1)
-        around = self.points[indices]
-        variances, self.normals = normals_of(around[:, :-1, :dimension], dimension)
+        variances, self.normals = normals_of(self.points[:, :dimension], indices[:, :-1])
         self.flat = variances[:, 0] < FLAT * np.maximum(variances[:, 1], 1e-300)
-        one_sided = around[:, 1:].mean(axis=1) - self.points
+        one_sided = self.points[indices[:, 1:]].mean(axis=1) - self.points
         self.ends = (one_sided**2).sum(axis=1) > ONE_SIDED**2 * squares[:, -1]
 
     @cached_property

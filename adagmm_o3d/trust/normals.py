@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adagmm_o3d.arguments import Array
+from adagmm_o3d.principal import principal_axes, scatter_among
 
 
-def normals_of(around: Array, dimension: int) -> tuple[Array, Array]:
-    """(n, D) ascending sums of squares along the axes of the scatter of (n, k, D) points, and (n, 3) unit normals."""
-    offsets = around - around.mean(axis=1, keepdims=True)
-    variances, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))
-    normals = np.zeros((len(around), 3))
+def normals_of(points: Array, rows: NDArray[np.int64]) -> tuple[Array, Array]:
+    """(n, D) ascending variances of (N, D) points along the axes of the neighbourhoods that (n, k) `rows` names, and
+    (n, 3) unit normals."""
+    dimension = points.shape[1]
+    variances, axes = principal_axes(scatter_among(points, rows)[0])
+    normals = np.zeros((len(rows), 3))
     normals[:, :dimension] = axes[:, :, 0]
     return variances, normals

@@ -74,7 +74,7 @@ def _two_normals(points: Array, dimension: int) -> tuple[Array, Array]:
     both; the second has the first's sign."""
     flat = np.ascontiguousarray(points[:, :dimension])
     near = NeighborIndex(flat).query(flat, NEIGHBORS + 1)[0][:, 1:]
-    first, second = (normals_of(flat[near[:, part::2]], dimension)[1] for part in (0, 1))
+    first, second = (normals_of(flat, near[:, part::2])[1] for part in (0, 1))
     return first, second * np.where((first * second).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
 
 

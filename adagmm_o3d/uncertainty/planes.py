@@ -13,6 +13,7 @@ import numpy as np
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.grouping import cells_of
 from adagmm_o3d.neighbors import NeighborIndex
+from adagmm_o3d.principal import principal_axes, scatter_among
 
 CHUNK = 65536
 """Points whose neighbourhoods are gathered at a time; bounds the memory."""
@@ -44,18 +45,16 @@ def find_planes(points: Array, queries: Array, edges: Sequence[float], most: int
             break
         cells = cells_of(points, edge)
         thinned, weights = cells.means(points), np.minimum(cells.total, FULL)
-        index = NeighborIndex(np.ascontiguousarray(thinned))
+        index = NeighborIndex(thinned)
         found = np.zeros(len(left), bool)
         for start in range(0, len(left), CHUNK):
             chosen = left[start : start + CHUNK]
-            rows, squares = index.query(np.ascontiguousarray(queries[chosen]), most)
-            near = squares <= (REACH * edge) ** 2
-            counted = np.where(near, weights[rows], 0.0)
-            shares = counted / np.maximum(counted.sum(axis=1), 1.0)[:, None]
-            offsets = thinned[rows] - (shares[:, :, None] * thinned[rows]).sum(axis=1, keepdims=True)
-            scatter = (shares[:, :, None] * offsets).transpose(0, 2, 1) @ offsets
-            spread, directions = np.linalg.eigh(scatter)
-            wide = (near.sum(axis=1) >= min(LEAST, most)) & (spread[:, 1] > LINE * spread[:, -1])
+            rows, squares = index.query(queries[chosen], most)
+            scatters, near = scatter_among(
+                thinned, rows, weights=weights, squares=squares, reach_sq=(REACH * edge) ** 2
+            )
+            spread, directions = principal_axes(scatters)
+            wide = (near >= min(LEAST, most)) & (spread[:, 1] > LINE * spread[:, -1])
             flat = wide & (spread[:, 0] < ROUGH * spread[:, 1])
             taken = flat | (wide & ~normals[chosen].any(axis=1))
             normals[chosen[taken]] = directions[taken, :, 0]

@@ -16,6 +16,7 @@ from adagmm_o3d.errors import DegenerateError, InputError
 from adagmm_o3d.grouping import cells_of, even_edge
 from adagmm_o3d.kernels.limits import EPSILON, KNN, LINE_RATIO
 from adagmm_o3d.neighbors import NeighborIndex
+from adagmm_o3d.principal import principal_axes, scatter_among
 from adagmm_o3d.uncertainty.planes import CHUNK, find_planes
 
 CELLS = (0.5, 1.0, 2.0)
@@ -166,15 +167,12 @@ def _cell_covariances(points: Array, edge: float, knn: int, thickness: float) ->
 
 def _estimate_normals(points: Array, knn: int, chosen: NDArray[np.intp]) -> Array:
     """Unit normals of the chosen points (K, D), zero where the neighbourhood has none."""
-    index = NeighborIndex(np.ascontiguousarray(points))
+    index = NeighborIndex(points)
     normals = np.empty((len(chosen), points.shape[1]))
     for start in range(0, len(chosen), CHUNK):
         chunk = slice(start, start + CHUNK)
         rows, _ = index.query(points[chosen[chunk]], knn)
-        near = points[rows]
-        offsets = near - near.mean(axis=1, keepdims=True)
-        scatter = offsets.transpose(0, 2, 1) @ offsets
-        variances, directions = np.linalg.eigh(scatter)
+        variances, directions = principal_axes(scatter_among(points, rows)[0])
         has_normal = variances[:, 1] > LINE_RATIO * variances.sum(axis=1)
         normals[chunk] = np.where(has_normal[:, None], directions[:, :, 0], 0.0)
     return normals

@@ -25,7 +25,7 @@ from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher
 kept = [d for d in gc.get_objects() if isinstance(d, Dispatcher) and not isinstance(d._cache, NullCache)]
 wanted = {"run_em": 2, "convolution_sums": 2, "score_sums": 2}  # with colours and without
-names = [(d.py_func.__name__, len(d.signatures)) for d in kept if d.py_func.__name__ != "nearest_k"]
+names = [(d.py_func.__name__, len(d.signatures)) for d in kept]
 print(len(kept), [name for name, count in names if count != wanted.get(name, 1)])
 """
 

@@ -3,10 +3,7 @@
 import subprocess
 import sys
 
-import numpy as np
 import pytest
-
-from adagmm_o3d.neighbors import Open3DSearch, OwnSearch
 
 BLOCKED = """
 import sys
@@ -74,25 +71,3 @@ def test_importing_the_package_imports_neither_open3d_nor_numba():
     code = "import sys, adagmm_o3d; print(sorted({'open3d', 'numba', 'scipy'} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
-
-
-@pytest.mark.parametrize("dimension", [2, 3])
-@pytest.mark.parametrize(("count", "k"), [(1, 1), (5, 5), (16, 3), (17, 17), (1000, 1), (1000, 20)])
-def test_our_search_finds_what_open3ds_finds(dimension, count, k):
-    rng = np.random.default_rng(count)
-    points = rng.normal(size=(count, dimension))
-    queries = np.concatenate([points[:50], rng.normal(scale=3.0, size=(200, dimension))])
-    wanted, wanted_squares = Open3DSearch(points).query(queries, k)
-    indices, squares = OwnSearch(points).query(queries, k)
-    np.testing.assert_array_equal(indices, wanted)
-    np.testing.assert_allclose(squares, wanted_squares, rtol=1e-12, atol=1e-15)
-
-
-def test_our_search_is_right_among_equal_points_and_on_a_grid():
-    grid = np.stack(np.meshgrid(*[np.arange(6.0)] * 3), axis=-1).reshape(-1, 3)
-    points = np.concatenate([grid, grid])
-    indices, squares = OwnSearch(points).query(grid, 8)
-    naive = ((grid[:, None] - points) ** 2).sum(axis=2)
-    np.testing.assert_array_equal(squares, np.sort(naive, axis=1)[:, :8])
-    np.testing.assert_array_equal(squares, np.take_along_axis(naive, indices, axis=1))
-    np.testing.assert_array_equal(indices, np.argsort(naive, axis=1, kind="stable")[:, :8])

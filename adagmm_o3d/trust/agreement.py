@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adagmm_o3d.arguments import Array
-from adagmm_o3d.lie import se_inverse
+from adagmm_o3d.em.runs import inverse_of
 from adagmm_o3d.mixtures.merging import MergedMixture
 from adagmm_o3d.mixtures.sampling import quantile, some_of
 from adagmm_o3d.mixtures.spacing import spacing_of
@@ -151,7 +151,7 @@ def _held(on: Mask, at_end: Mask) -> float:
 
 def _meeting(source: Surface, target: Surface, pose: Array) -> tuple[Mask, Mask]:
     """Of each point of both clouds, whether it is on the other's surface, and whether it is nearest to an end of it."""
-    sides = [_meets(source, target, pose), _meets(target, source, se_inverse(pose))]
+    sides = [_meets(source, target, pose), _meets(target, source, inverse_of(pose))]
     on, at_end = (np.concatenate(part) for part in zip(*sides, strict=True))
     return on, at_end
 

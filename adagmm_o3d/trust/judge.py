@@ -18,8 +18,7 @@ import numpy as np
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.colour import ColourEstimate
-from adagmm_o3d.em.runs import Limits, Start, run_starts
-from adagmm_o3d.lie import se_inverse
+from adagmm_o3d.em.runs import Limits, Start, inverse_of, run_starts
 from adagmm_o3d.mixtures.merging import MergedMixture
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.sampling import distinct_places, quantile, some_of
@@ -140,7 +139,7 @@ class Judge:
 
     def _violations(self, pose: Array) -> float:
         share = 0.0
-        for seen, asked, motion in zip(self._seen[::-1], self._asked, (pose, se_inverse(pose)), strict=True):
+        for seen, asked, motion in zip(self._seen[::-1], self._asked, (pose, inverse_of(pose)), strict=True):
             if seen is not None:
                 share += seen.violations(asked @ motion[:3, :3].T + motion[:3, 3])
         return share

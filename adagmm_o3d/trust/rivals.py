@@ -10,6 +10,7 @@ neither: turned about what they face they are laid on each other anew.
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 
@@ -114,13 +115,15 @@ def _turns(points: Array, normals: Array, dimension: int) -> list[Array]:
     if dimension == 2:
         return [so_exp(np.array([0.0, 0.0, angle])) for angle in TURNS_IN_PLANE]
     own = [*np.linalg.eigh(np.cov(points.T))[1].T, *np.linalg.eigh(normals.T @ normals)[1].T]
-    turns = [so_exp(math.pi * axis) for axis in (*own, *_axes_around(AXES))]
+    turns = [*(so_exp(math.pi * axis) for axis in own), *_half_turns_around(AXES)]
     return turns + [so_exp(angle * axis) for axis in own for angle in (0.5 * math.pi, -0.5 * math.pi)]
 
 
-def _axes_around(count: int) -> Array:
-    """(count, 3) axes spread evenly over half a sphere, on a spiral."""
+@cache
+def _half_turns_around(count: int) -> Array:
+    """(count, 3, 3) half turns about axes spread evenly over half a sphere, on a spiral."""
     place = np.arange(count) + 0.5
     height, angle = place / count, math.pi * (1.0 + math.sqrt(5.0)) * place
     radius = np.sqrt(1.0 - height**2)
-    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])
+    axes = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])
+    return np.array([so_exp(math.pi * axis) for axis in axes])

@@ -75,6 +75,10 @@ def test_wrong_without_a_warning_and_right_with_one_are_counted():
         atol=0,
     )
     peer = summarise_pairs("open3d-gicp", [record("open3d-gicp", 9.0, 0.0)])
+    # All that a peer does is for the pose.
+    assert peer.pose_cpu_seconds_median == peer.cpu_seconds_median == 1.0
+    told = summarise_pairs("adagmm", [record("adagmm", 1.0, 0.0, warnings=[]) | {"pose_cpu_seconds": 0.75}])
+    assert (told.pose_cpu_seconds_median, told.cpu_seconds_median) == (0.75, 1.0)
     assert (peer.silently_wrong, peer.false_alarms, peer.rotation_deg_found, peer.cell) == (None, None, None, "0")
 
 

@@ -489,8 +489,6 @@ CPU = {
     ],
     "cpu/nearest_k.py": [
         ("while values[i] < pivot", "while values[i] <= pivot"),
-        ("if middle <= j:\n            high = j", "if middle <= j:\n            high = i"),
-        ("elif middle >= i:\n            low = i", "elif middle >= i:\n            low = i + 1"),
         ("order[i], order[j] = order[j], order[i]", "pass"),
         ("axis, widest = d, highest", "axis, widest = 0, highest"),
         ("boxes[node, 0, d], boxes[node, 1, d] = lowest", "boxes[node, 1, d], boxes[node, 0, d] = lowest"),

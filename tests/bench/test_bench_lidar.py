@@ -82,13 +82,14 @@ def records_of_a_drive(error):
             "rotation_error_deg": 0.1 * index,
             "translation_error": 0.001 * index,
             "cpu_seconds": 1.0,
+            "pose_cpu_seconds": 0.75,
             "T_target_source": T.tolist(),
         }
 
 
 def test_drift_is_how_far_the_last_scan_is_off():
     (_, columns, rows), (_, _, drifts) = SECTIONS[LIDAR].tables(list(records_of_a_drive(np.eye(4))), [])
-    assert rows == [["odometry, whole, 49", "adagmm", "2.500", "25.0", "4.900", "49.0", "1.00"]]
+    assert rows == [["odometry, whole, 49", "adagmm", "2.500", "25.0", "4.900", "49.0", "1.00", "0.75"]]
     assert len(columns) == len(rows[0]) and drifts == [["adagmm", "0.000", "0.0", "0.000"]]
     turned = se_exp(np.array([0.0, 0.0, math.radians(0.01), 0.0, 0.0, 0.0]))
     _, _, _, (drift,) = lidar_tables(list(records_of_a_drive(turned)), short_name)

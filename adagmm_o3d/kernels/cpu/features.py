@@ -28,18 +28,14 @@ def binned(value):
 
 
 @njit(**FLAGS)
-def count_pair(points, normals, i, j, histogram, other_histogram):
-    """Add how the normals of two neighbours i and j stand to each other to the histograms of both.
-
-    From either the same frame is seen, but for the signs of all normals.
-    """
+def count_pair(points, normals, i, j, histogram):
+    """Add how the normal of neighbour j stands to that of point i to the `histogram` of i."""
     dx, dy, dz = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     dx, dy, dz = dx / length, dy / length, dz / length
     ax, ay, az = normals[i, 0], normals[i, 1], normals[i, 2]
     bx, by, bz = normals[j, 0], normals[j, 1], normals[j, 2]
-    opposite = ax * bx + ay * by + az * bz < 0.0
-    if opposite:
+    if ax * bx + ay * by + az * bz < 0.0:
         bx, by, bz = -bx, -by, -bz
     slope, other = ax * dx + ay * dy + az * dz, bx * dx + by * dy + bz * dz
     # The frame stands on the point whose normal is nearer to the line between both.
@@ -53,15 +49,9 @@ def count_pair(points, normals, i, j, histogram, other_histogram):
     vx, vy, vz = vx / length, vy / length, vz / length
     wx, wy, wz = ay * vz - az * vy, az * vx - ax * vz, ax * vy - ay * vx
     turn = math.atan2(wx * bx + wy * by + wz * bz, ax * bx + ay * by + az * bz)
-    first = binned(turn / (2.0 * math.pi) + 0.5)
-    second = BINS + binned(0.5 * (vx * bx + vy * by + vz * bz + 1.0))
-    third = binned(0.5 * (slope + 1.0))
-    histogram[first] += 1.0
-    histogram[second] += 1.0
-    histogram[2 * BINS + third] += 1.0
-    other_histogram[BINS - 1 - first if opposite else first] += 1.0
-    other_histogram[second] += 1.0
-    other_histogram[2 * BINS + (BINS - 1 - third if opposite else third)] += 1.0
+    histogram[binned(turn / (2.0 * math.pi) + 0.5)] += 1.0
+    histogram[BINS + binned(0.5 * (vx * bx + vy * by + vz * bz + 1.0))] += 1.0
+    histogram[2 * BINS + binned(0.5 * (slope + 1.0))] += 1.0
 
 
 def _build(stamp):
@@ -124,10 +114,7 @@ def _build(stamp):
         simple = np.zeros((n, FEATURE))
         for i in range(n):
             for k in range(counts[i]):
-                j = neighbors[i, k]
-                if j > i:
-                    count_pair(points, normals, i, j, simple[i], simple[j])
-        for i in range(n):
+                count_pair(points, normals, i, neighbors[i, k], simple[i])
             for b in range(FEATURE):
                 simple[i, b] *= 100.0 / max(counts[i], 1)
         around = np.empty(FEATURE)

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from adagmm_o3d.kernels.cpu.acceleration import (
     LOG_SIGMA,
-    LONGEST_STEP,
     MEMORY,
     STATE,
     TURN_AND_SHIFT,
@@ -165,7 +164,7 @@ def follow_pairs(total, delta, sigma, unmatched, rule, memory, step):
         for i in range(STATE):
             step[i] = residual[i]
     else:
-        accelerated_step(residual, math.sqrt(sigma), LONGEST_STEP[rule.dimension - 2], memory, step)
+        accelerated_step(residual, math.sqrt(sigma), memory, step)
         new = max(sigma * math.exp(step[LOG_SIGMA]), rule.floor)
     return new, _bounded(unmatched + step[UNMATCHED_SHARE], rule), settled
 

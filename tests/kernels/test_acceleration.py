@@ -6,6 +6,7 @@ import pytest
 from adagmm_o3d.kernels.cpu.acceleration import (
     LARGEST_CHANGE,
     LOG_SIGMA,
+    LONGEST_STEP,
     MEMORY,
     STATE,
     TURN_AND_SHIFT,
@@ -15,7 +16,7 @@ from adagmm_o3d.kernels.cpu.acceleration import (
 )
 
 # What `product` divides a state by: the pose by the deviation, the rest by nothing.
-DEVIATION, LONGEST = 0.3, 0.3
+DEVIATION = 0.3
 UNITS = np.array([DEVIATION] * TURN_AND_SHIFT + [1.0] * (STATE - TURN_AND_SHIFT))
 
 
@@ -27,12 +28,14 @@ def fresh():
 
 def next_step(memory, residual, deviation=DEVIATION):
     step = np.full(STATE, np.nan)
-    accelerated_step(residual, deviation, LONGEST, memory, step)
+    accelerated_step(residual, deviation, memory, step)
     return step
 
 
 def bounded(step, deviation=DEVIATION):
-    excess = max(np.linalg.norm(step[:TURN_AND_SHIFT]) / (LONGEST * deviation), abs(step[LOG_SIGMA]) / LARGEST_CHANGE)
+    excess = max(
+        np.linalg.norm(step[:TURN_AND_SHIFT]) / (LONGEST_STEP * deviation), abs(step[LOG_SIGMA]) / LARGEST_CHANGE
+    )
     return step / max(excess, 1.0)
 
 
@@ -162,7 +165,7 @@ def test_no_step_is_longer_than_allowed_and_its_direction_is_kept(longest):
     residual[2 if longest == "pose" else LOG_SIGMA] = -3.0
     step = next_step(fresh(), residual)
     if longest == "pose":
-        np.testing.assert_allclose(np.linalg.norm(step[:TURN_AND_SHIFT]), LONGEST * DEVIATION, rtol=1e-12)
+        np.testing.assert_allclose(np.linalg.norm(step[:TURN_AND_SHIFT]), LONGEST_STEP * DEVIATION, rtol=1e-12)
     else:
         np.testing.assert_allclose(step[LOG_SIGMA], -LARGEST_CHANGE, rtol=1e-12)
     np.testing.assert_allclose(step / step[0], residual / residual[0], rtol=1e-12)
@@ -173,7 +176,7 @@ def test_a_step_cut_short_is_remembered_as_it_was_taken():
     fixed[3] = 2.0 * DEVIATION
     memory, x = fresh(), np.zeros(STATE)
     x += next_step(memory, fixed - A @ fixed)
-    np.testing.assert_allclose(x[3], LONGEST * DEVIATION, rtol=1e-12)
+    np.testing.assert_allclose(x[3], LONGEST_STEP * DEVIATION, rtol=1e-12)
     # The second knows where the map leads, and is cut short again; so are all but the last.
     for _ in range(9):
         x += next_step(memory, (np.eye(STATE) - A) @ (fixed - x))

@@ -13,7 +13,6 @@ from adagmm_o3d.em.runs import Limits, Start, run_starts
 from adagmm_o3d.em.unmatched import COMPARED_SIGMA, uniform_density
 from adagmm_o3d.kernels.cpu.acceleration import (
     LOG_SIGMA,
-    LONGEST_STEP,
     STATE,
     UNMATCHED_SHARE,
     accelerated_step,
@@ -161,7 +160,7 @@ class Problem:
             new = max(slowest, wanted)
             residual = np.concatenate([self.newton_step(sums, pose), [math.log(new / sigma), share - unmatched]])
             if limits.accelerated and slowest <= wanted:
-                accelerated_step(residual, math.sqrt(sigma), LONGEST_STEP[self.dimension - 2], memory, taken)
+                accelerated_step(residual, math.sqrt(sigma), memory, taken)
                 new = max(sigma * math.exp(taken[LOG_SIGMA]), limits.floor)
             else:
                 forget(memory)

@@ -23,9 +23,8 @@ TURN_AND_SHIFT, LOG_SIGMA, UNMATCHED_SHARE = 6, 6, 7
 STATE = 8
 # How many past steps are combined.
 MEMORY = 3
-# A step goes no further than this: in standard deviations of the mixtures, in the plane and in space, where surfaces
-# slide along each other for longest, and in log σ.
-LONGEST_STEP, LARGEST_CHANGE = (0.3, 1.0), 0.2
+# A step goes no further than this: in standard deviations of the mixtures, and in log σ.
+LONGEST_STEP, LARGEST_CHANGE = 0.3, 0.2
 RIDGE = 1e-10
 
 
@@ -44,9 +43,8 @@ forget_compiled = njit(**EXACT_FLAGS)(forget)
 
 
 @njit(**EXACT_FLAGS)
-def accelerated_step(residual, deviation, longest, memory, step):
-    """The step (STATE,) to take at this `residual` (STATE,); `deviation` is the mixtures' √σ, the unit of a pose, of
-    which the step is `longest` at most."""
+def accelerated_step(residual, deviation, memory, step):
+    """The step (STATE,) to take at this `residual` (STATE,); `deviation` is the mixtures' √σ, the unit of a pose."""
     known = int(memory[-1, 0])
     last, taken = memory[-3], memory[-2]
     if known >= 0:
@@ -92,7 +90,7 @@ def accelerated_step(residual, deviation, longest, memory, step):
     pose = 0.0
     for i in range(TURN_AND_SHIFT):
         pose += step[i] * step[i]
-    excess = max(math.sqrt(pose) / (longest * deviation), abs(step[LOG_SIGMA]) / LARGEST_CHANGE)
+    excess = max(math.sqrt(pose) / (LONGEST_STEP * deviation), abs(step[LOG_SIGMA]) / LARGEST_CHANGE)
     if excess > 1.0:
         for i in range(STATE):
             step[i] /= excess

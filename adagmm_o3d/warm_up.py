@@ -10,7 +10,9 @@ from typing import get_args
 import numpy as np
 
 from adagmm_o3d.array_registration import register_points
+from adagmm_o3d.grouping import DENSE_FROM
 from adagmm_o3d.options import SigmaRuleName, TransformationEstimationForAdaptiveGMM
+from adagmm_o3d.uncertainty.surface import estimate_surface_covariances
 
 # A cloud whose points all meet, and one of which only near ones do.
 FEW, MANY = 60, 1500
@@ -34,6 +36,8 @@ def warm_up(*, paper_rules: bool = True) -> None:
     left, right = sphere[sphere[:, 0] < 0.3], sphere[sphere[:, 0] > -0.3]
     covariances = [np.tile(np.diag([1.0, 1.0, 0.5]), (len(part), 1, 1)) for part in (left, right)]
     register_points(left, right[:, ::-1].copy(), *covariances, device="cpu")
+    # A cloud so dense that its points are put into cells.
+    estimate_surface_covariances(np.resize(points, (DENSE_FROM, 3)))
     far = np.full(3, 10.0)
     other = 0.5 * right[:, ::-1]
     register_points(left, other, *covariances, device="cpu", source_viewpoint=far, target_viewpoint=far)

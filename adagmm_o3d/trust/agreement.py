@@ -87,7 +87,7 @@ class Surface:
 
     def beside(self, points: Array) -> tuple[NDArray[np.intp], Array, Array]:
         """Of (n, 3) points: which of its own is nearest, its squared distance, and how far off the surface they are."""
-        indices, squares = self.index.query(np.ascontiguousarray(points))
+        indices, squares = self.index.query(points)
         nearest = indices[:, 0]
         off = np.abs(np.einsum("ni,ni->n", points - self.points[nearest], self.normals[nearest]))
         return nearest, squares[:, 0], off

@@ -45,7 +45,7 @@ def free_of_colours(
     asked = some_of(np.flatnonzero((source.variances <= FLAGGED) & (matched >= HAS_PARTNER)), ASKED)
     if not len(free) or not len(asked) or not len(among):
         return free
-    index = NeighborIndex(np.ascontiguousarray(target.points_at(among)))
+    index = NeighborIndex(target.points_at(among))
     seen = colour.scaled(source.colours[asked], of_source=True)
     others = colour.scaled(target.colours[among], of_source=False)
     points = source.points_at(asked) @ pose[:3, :3].T + pose[:3, 3]
@@ -55,7 +55,7 @@ def free_of_colours(
 
     def support(moved: Array) -> Array:
         """(n,) what the colours of the nearest points say [nats]; NaN where none is near."""
-        nearest, squares = index.query(np.ascontiguousarray(moved))
+        nearest, squares = index.query(moved)
         half = ((seen - others[nearest[:, 0]]) ** 2).sum(axis=1)
         likely = np.exp(-np.minimum(half, colour.floor)) / colour.expected
         gained = np.log((1.0 - colour.lying) * likely + colour.lying)

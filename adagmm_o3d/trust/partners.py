@@ -31,7 +31,7 @@ def partners_at(source: Mixture, target: Mixture, pose: Array) -> Partners:
     weights = np.zeros(len(source))
     if len(certain) and len(among):
         moved = source.points_at(certain) @ pose[:3, :3].T + pose[:3, 3]
-        squares = NeighborIndex(np.ascontiguousarray(target.points_at(among))).query(moved)[1][:, 0]
+        squares = NeighborIndex(target.points_at(among)).query(moved)[1][:, 0]
         reach = max(RADII, SPACINGS * max(spacing_of_whole(mixture) for mixture in (source, target)))
         near = squares < (FARTHEST * reach) ** 2
         weights[certain[near]] = 1.0 / (1.0 + (squares[near] / reach**2) ** (STEEPNESS // 2))

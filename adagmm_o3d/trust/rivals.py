@@ -77,9 +77,7 @@ def _turned(judge: Judge, pose: Array) -> list[Array]:
     centre = moved.mean(axis=0)
     turns = np.array(_turns(moved, judge.surfaces[0].normals @ pose[:3, :3].T, source.dimension))
     few = moved[some_of(np.arange(len(moved)), LOOKED_AT)] - centre
-    squares = NeighborIndex(np.ascontiguousarray(target.points)).query(
-        (few @ turns.transpose(0, 2, 1)).reshape(-1, 3) + centre
-    )[1]
+    squares = NeighborIndex(target.points).query((few @ turns.transpose(0, 2, 1)).reshape(-1, 3) + centre)[1]
     near = np.exp(-squares.reshape(len(turns), -1) / (2.0 * REACH**2)).mean(axis=1)
     followed: list[Array] = []
     for turn in turns[np.argsort(-near, kind="stable")]:

@@ -10,28 +10,14 @@ import numpy as np
 from numba import njit
 
 from adagmm_o3d.kernels.cpu.compiling import EXACT_KERNEL_FLAGS, POINTWISE_FLAGS, source_stamp
+from adagmm_o3d.kernels.jacobi import build
 
 # What is left beside the diagonal, of it, squared, and the most sweeps to come there; four mostly do.
 LEFT, SWEEPS = 1e-30, 16
 
 
-@njit(**POINTWISE_FLAGS)
-def rotation(pp, qq, pq):
-    """Cosine, sine and tangent of the turn that makes the entry pq between the diagonal's pp and qq zero."""
-    if pq == 0.0:
-        return 1.0, 0.0, 0.0
-    half = 0.5 * (qq - pp)
-    tangent = pq / (abs(half) + math.sqrt(half * half + pq * pq))
-    if half < 0.0:
-        tangent = -tangent
-    cosine = 1.0 / math.sqrt(tangent * tangent + 1.0)
-    return cosine, tangent * cosine, tangent
-
-
-@njit(**POINTWISE_FLAGS)
-def turned(c, s, p, q):
-    """Two numbers after a rotation."""
-    return c * p - s * q, s * p + c * q
+_jacobi = build(njit(**POINTWISE_FLAGS))
+sweep, ascending = _jacobi.sweep, _jacobi.ascending
 
 
 def _build(stamp):
@@ -53,30 +39,10 @@ def _build(stamp):
             for _sweep in range(SWEEPS):
                 if not xy * xy + xz * xz + yz * yz > LEFT * (xx * xx + yy * yy + zz * zz):
                     break
-                c, s, t = rotation(xx, yy, xy)
-                xx, yy, xy = xx - t * xy, yy + t * xy, 0.0
-                xz, yz = turned(c, s, xz, yz)
-                x0, y0 = turned(c, s, x0, y0)
-                x1, y1 = turned(c, s, x1, y1)
-                x2, y2 = turned(c, s, x2, y2)
-                c, s, t = rotation(xx, zz, xz)
-                xx, zz, xz = xx - t * xz, zz + t * xz, 0.0
-                xy, yz = turned(c, s, xy, yz)
-                x0, z0 = turned(c, s, x0, z0)
-                x1, z1 = turned(c, s, x1, z1)
-                x2, z2 = turned(c, s, x2, z2)
-                c, s, t = rotation(yy, zz, yz)
-                yy, zz, yz = yy - t * yz, zz + t * yz, 0.0
-                xy, xz = turned(c, s, xy, xz)
-                y0, z0 = turned(c, s, y0, z0)
-                y1, z1 = turned(c, s, y1, z1)
-                y2, z2 = turned(c, s, y2, z2)
-            if yy < xx:
-                xx, yy, x0, x1, x2, y0, y1, y2 = yy, xx, y0, y1, y2, x0, x1, x2
-            if zz < yy:
-                yy, zz, y0, y1, y2, z0, z1, z2 = zz, yy, z0, z1, z2, y0, y1, y2
-            if yy < xx:
-                xx, yy, x0, x1, x2, y0, y1, y2 = yy, xx, y0, y1, y2, x0, x1, x2
+                xx, xy, xz, yy, yz, zz, x0, x1, x2, y0, y1, y2, z0, z1, z2 = sweep(
+                    xx, xy, xz, yy, yz, zz, x0, x1, x2, y0, y1, y2, z0, z1, z2
+                )
+            xx, yy, zz, x0, x1, x2, y0, y1, y2, z0, z1, z2 = ascending(xx, yy, zz, x0, x1, x2, y0, y1, y2, z0, z1, z2)
             variances[n, 0], variances[n, 1], variances[n, 2] = xx * unit, yy * unit, zz * unit
             axes[n, 0, 0], axes[n, 1, 0], axes[n, 2, 0] = x0, x1, x2
             axes[n, 0, 1], axes[n, 1, 1], axes[n, 2, 1] = y0, y1, y2

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from adagmm_o3d.errors import InputError
+from adagmm_o3d.kernels.cpu.nearest_k import LEAF, build_tree, count_nodes
 from adagmm_o3d.neighbors import NeighborIndex
 
 
@@ -52,6 +53,26 @@ def test_a_run_is_halved_however_the_points_are_placed(name):
     indices, squares = NeighborIndex(points).query(queries, 4)
     np.testing.assert_array_equal(indices, wanted)
     np.testing.assert_allclose(squares, wanted_squares, rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", ["rings", "sorted"])
+def test_the_halves_of_a_run_lie_apart_along_its_longest_extent(name):
+    """Without that the nearest would be found all the same, by looking at every point."""
+    points = PLACED[name]
+    order, boxes = np.empty(len(points), np.int64), np.empty((count_nodes(len(points)), 2, 3))
+    build_tree(points, order, boxes)
+    np.testing.assert_array_equal(np.sort(order), np.arange(len(points)))
+    runs, parted = [(0, len(points), 1)], 0
+    while runs:
+        first, last, node = runs.pop()
+        run = points[order[first:last]]
+        np.testing.assert_array_equal(boxes[node], [run.min(axis=0), run.max(axis=0)])
+        if last - first > LEAF:
+            axis, middle = np.argmax(np.ptp(boxes[node], axis=0)), (first + last) // 2
+            assert boxes[2 * node, 1, axis] <= boxes[2 * node + 1, 0, axis]
+            runs += [(first, middle, 2 * node), (middle, last, 2 * node + 1)]
+            parted += 1
+    assert parted > len(points) / (2 * LEAF)
 
 
 def test_fewer_points_than_asked_for_are_all_that_is_found():

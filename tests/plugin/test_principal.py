@@ -67,3 +67,10 @@ def test_scatter_is_the_weighted_covariance_of_what_is_near(dimension):
         np.testing.assert_allclose(scatter, expected, rtol=0, atol=1e-13)
     everything = scatter_among(points, rows)[0]
     np.testing.assert_allclose(everything[0], np.cov(points[rows[0]].T, ddof=0), rtol=0, atol=1e-13)
+
+
+def test_scatter_keeps_its_digits_far_from_the_origin():
+    far = np.random.default_rng(5).normal(size=(40, 3)) + 1e6
+    rows = np.arange(40).reshape(2, 20)
+    for scatter, row in zip(scatter_among(far, rows)[0], rows, strict=True):
+        np.testing.assert_allclose(scatter, np.cov((far[row] - 1e6).T, ddof=0), rtol=0, atol=1e-13)

@@ -325,7 +325,10 @@ def test_the_bits_do_not_depend_on_the_number_of_threads(isotropic):
 
 
 def test_exp2_is_accurate_over_the_whole_range():
-    x = np.linspace(-125.9, 0.0, 20_001, dtype=np.float32)
+    x = np.linspace(-63.9, 0.0, 20_001, dtype=np.float32)
     ours = np.array([exp2_float32(v) for v in x])
     np.testing.assert_allclose(ours, np.exp2(x.astype(np.float64)), rtol=3e-7, atol=0)
-    assert exp2_float32(np.float32(-1e30)) == np.float32(2.0**-126)
+    least = exp2_float32(np.float32(-1e30))
+    assert least == np.float32(2.0**-64)
+    # times the shares of two clouds of a million points it is still a number that costs no more than others
+    assert least * np.float32(1e-12) > np.finfo(np.float32).tiny

@@ -146,7 +146,7 @@ def overlap_ratio(
     """
     limit = distance_limit("distance", distance)
     source, target = _clouds(source_points, target_points)
-    _, squares = _nearest(source, target, transformation)
+    _, squares = _nearest(source, target, transformation, limit)
     return float(np.mean(squares < limit * limit))
 
 
@@ -174,7 +174,7 @@ def evaluate_registration(
     """
     limit = distance_limit("max_correspondence_distance", max_correspondence_distance)
     source, target = _clouds(source_points, target_points)
-    indices, squares = _nearest(source, target, transformation)
+    indices, squares = _nearest(source, target, transformation, limit)
     inliers = np.flatnonzero(squares < limit * limit)
     return RegistrationFit(
         fitness=len(inliers) / len(source),
@@ -240,10 +240,11 @@ def _clouds(source_points: ArrayLike, target_points: ArrayLike) -> tuple[Array, 
     return source, float_array("target_points", target_points, ("N", source.shape[1]), finite=False)
 
 
-def _nearest(source: Array, target: Array, transformation: ArrayLike) -> tuple[NDArray[np.int64], Array]:
+def _nearest(source: Array, target: Array, transformation: ArrayLike, limit: float) -> tuple[NDArray[np.int64], Array]:
     """Index of and squared distance to the target point nearest to every moved source point, (M,) each.
 
-    Points that are not finite are nowhere: infinitely far from all others.
+    Of one with no target point within `limit` the distance is no less than that, and the index means nothing; so of
+    points that are not finite, which are nowhere.
     """
     rotation, translation = lie.split(transformation, tolerance=POSE_TOLERANCE)
     if len(translation) != source.shape[1]:
@@ -257,7 +258,8 @@ def _nearest(source: Array, target: Array, transformation: ArrayLike) -> tuple[N
     moving, fixed = source[seen], target[known]
     check_coordinates("source_points", moving)
     check_coordinates("target_points", fixed)
-    found, distances = NeighborIndex(fixed, name="target_points").query(moving @ rotation.T + translation)
+    index = NeighborIndex(fixed, name="target_points")
+    found, distances = index.query(moving @ rotation.T + translation, within=limit)
     indices, squares = np.zeros(len(source), np.int64), np.full(len(source), np.inf)
-    indices[seen], squares[seen] = known[found[:, 0]], distances[:, 0]
+    indices[seen], squares[seen] = np.append(known, 0)[found[:, 0]], distances[:, 0]
     return indices, squares

@@ -77,12 +77,12 @@ def _rotations(own: list[Array], other: list[Array]) -> Array:
         if abs(abs(angle) - abs(onto)) > SAME_COSINE:
             continue
         right_angle = min(abs(angle), abs(onto)) < RIGHT_ANGLE
-        for s, t in SIGNS:
-            if right_angle or s * t * angle * onto > 0.0:
-                laid.append(np.outer(s * c, a) + np.outer(t * d, b) + s * t * np.outer(np.cross(c, d), np.cross(a, b)))
+        laid += [(a, b, s * c, t * d) for s, t in SIGNS if right_angle or s * t * angle * onto > 0.0]
     if not laid:
         return np.empty((0, 3, 3))
-    rotations = nearest_rotations(np.array(laid))
+    a, b, c, d = np.array(laid).transpose(1, 0, 2)
+    moments = np.einsum("ri,rj->rij", c, a) + np.einsum("ri,rj->rij", d, b)
+    rotations = nearest_rotations(moments + np.einsum("ri,rj->rij", np.cross(c, d), np.cross(a, b)))
     same = np.einsum("iab,jab->ij", rotations, rotations) > 1.0 + 2.0 * math.cos(SAME_ROTATION)
     kept: list[int] = []
     for i in range(len(rotations)):

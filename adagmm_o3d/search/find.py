@@ -186,11 +186,15 @@ def _others(levels: Levels, bases: list[Array]) -> list[Start]:
 
 def _apart(poses: list[Array], distance: float) -> list[Array]:
     """Those of the poses that are clearly different from all before them."""
-    kept: list[Array] = []
-    for pose in poses:
-        if not kept or (pose_distance(np.array(kept), pose) > distance).all():
-            kept.append(pose)
-    return kept
+    if not poses:
+        return []
+    everything = np.array(poses)
+    near = pose_distance(everything[:, None], everything) <= distance
+    kept: list[int] = []
+    for k in range(len(poses)):
+        if not near[k, kept].any():
+            kept.append(k)
+    return [poses[k] for k in kept]
 
 
 def _proposed(levels: Levels, poses: list[Array]) -> list[End]:

@@ -55,6 +55,19 @@ def test_a_run_is_halved_however_the_points_are_placed(name):
     np.testing.assert_allclose(squares, wanted_squares, rtol=1e-12, atol=1e-15)
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_only_what_is_within_a_distance_is_found(dimension):
+    rng = np.random.default_rng(5)
+    points, queries = rng.normal(size=(400, dimension)), 2.0 * rng.normal(size=(150, dimension))
+    wanted, squares_wanted = naive(points, queries, 3)
+    near = squares_wanted < 0.4**2
+    assert near.any()
+    assert not near.all()
+    indices, squares = NeighborIndex(points).query(queries, 3, within=0.4)
+    np.testing.assert_array_equal(indices, np.where(near, wanted, len(points)))
+    np.testing.assert_allclose(squares, np.where(near, squares_wanted, 0.4 * 0.4), rtol=1e-12)
+
+
 @pytest.mark.parametrize("name", ["rings", "sorted"])
 def test_the_halves_of_a_run_lie_apart_along_its_longest_extent(name):
     """Without that the nearest would be found all the same, by looking at every point."""

@@ -19,6 +19,10 @@ from adagmm_o3d.kernels.cpu.compiling import FLAGS, SERIAL_KERNEL_FLAGS, source_
 
 BINS = 11
 FEATURE = 3 * BINS
+# The bins of all turns, from -180 to 180 degrees, share the histogram; normals that face the same way are turned by no
+# more than 90. The first of the bins that this leaves, and the tangents of where the others begin.
+FIRST_TURN = 2
+TURNS = tuple(math.tan(2.0 * math.pi * (b / BINS - 0.5)) for b in range(FIRST_TURN + 1, BINS - FIRST_TURN))
 
 
 @njit(**FLAGS)
@@ -48,8 +52,11 @@ def count_pair(points, normals, i, j, histogram):
         return
     vx, vy, vz = vx / length, vy / length, vz / length
     wx, wy, wz = ay * vz - az * vy, az * vx - ax * vz, ax * vy - ay * vx
-    turn = math.atan2(wx * bx + wy * by + wz * bz, ax * bx + ay * by + az * bz)
-    histogram[binned(turn / (2.0 * math.pi) + 0.5)] += 1.0
+    across, along = wx * bx + wy * by + wz * bz, ax * bx + ay * by + az * bz
+    turn = FIRST_TURN
+    for slope_of_bin in TURNS:
+        turn += across >= slope_of_bin * along
+    histogram[turn] += 1.0
     histogram[BINS + binned(0.5 * (vx * bx + vy * by + vz * bz + 1.0))] += 1.0
     histogram[2 * BINS + binned(0.5 * (slope + 1.0))] += 1.0
 
@@ -127,11 +134,16 @@ def _build(stamp):
                 agreement = (
                     normals[i, 0] * normals[j, 0] + normals[i, 1] * normals[j, 1] + normals[i, 2] * normals[j, 2]
                 )
-                for b in range(BINS):
-                    mirrored = BINS - 1 - b if agreement < 0.0 else b
-                    around[b] += share * simple[j, mirrored]
-                    around[BINS + b] += share * simple[j, BINS + b]
-                    around[2 * BINS + b] += share * simple[j, 2 * BINS + mirrored]
+                if agreement < 0.0:
+                    for b in range(BINS):
+                        around[b] += share * simple[j, BINS - 1 - b]
+                        around[2 * BINS + b] += share * simple[j, FEATURE - 1 - b]
+                else:
+                    for b in range(BINS):
+                        around[b] += share * simple[j, b]
+                        around[2 * BINS + b] += share * simple[j, 2 * BINS + b]
+                for b in range(BINS, 2 * BINS):
+                    around[b] += share * simple[j, b]
             for part in range(0, FEATURE, BINS):
                 total = 0.0
                 for b in range(part, part + BINS):

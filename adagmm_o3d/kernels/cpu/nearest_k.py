@@ -54,14 +54,23 @@ def halve(order, values, first, last):
             return
 
 
+@njit(**POINTWISE_FLAGS)
+def gap_sq(box, x, y, z):
+    """Squared distance of a point from a box (2, 3), 0 within it."""
+    dx = max(box[0, 0] - x, x - box[1, 0], 0.0)
+    dy = max(box[0, 1] - y, y - box[1, 1], 0.0)
+    dz = max(box[0, 2] - z, z - box[1, 2], 0.0)
+    return dx * dx + dy * dy + dz * dz
+
+
 def _build(stamp):
     """The kernels that are called from Python; `stamp` keeps their cache fresh."""
 
     @njit(**EXACT_KERNEL_FLAGS)
     def build_tree(points, order, boxes):
-        """Halve runs of (N, D) points across their longest extent until they are leaves.
+        """Halve runs of (N, 3) points across their longest extent until they are leaves.
 
-        `order` (N,) receives the points' indices, run by run; `boxes` (2^k, 2, D), for the run of all points at 1 and
+        `order` (N,) receives the points' indices, run by run; `boxes` (2^k, 2, 3), for the run of all points at 1 and
         for the halves of the one at n at 2 n and 2 n + 1, the least and the largest of its coordinates.
         """
         _ = stamp
@@ -78,7 +87,7 @@ def _build(stamp):
             first, last, node = firsts[waiting], lasts[waiting], nodes[waiting]
             while True:
                 axis, widest = 0, -1.0
-                for d in range(points.shape[1]):
+                for d in range(3):
                     lowest = highest = points[order[first], d]
                     for i in range(first + 1, last):
                         lowest = min(lowest, points[order[i], d])
@@ -100,32 +109,30 @@ def _build(stamp):
     def nearest_k(tree, order, boxes, queries, indices, squares):
         """Fill (M, k) `indices` and `squares` with the nearest points of each query, nearest first.
 
-        tree : (N, D) points in their order. Of points equally near the one of the smaller index comes first.
+        tree : (N, 3) points in their order.   squares : comes with what they have to be within.
+        Of points equally near the one of the smaller index comes first.
         """
         _ = stamp
         k = indices.shape[1]
-        dimension = tree.shape[1]
         firsts = np.empty(DEEPEST, np.int64)
         lasts = np.empty(DEEPEST, np.int64)
         nodes = np.empty(DEEPEST, np.int64)
         bounds = np.empty(DEEPEST, np.float64)
         for m in range(queries.shape[0]):
+            x, y, z = queries[m, 0], queries[m, 1], queries[m, 2]
             firsts[0], lasts[0], nodes[0], bounds[0] = 0, tree.shape[0], 1, 0.0
             waiting = 1
-            squares[m, :] = np.inf
-            indices[m, :] = tree.shape[0]
+            near, far = indices[m], squares[m]
+            near[:] = tree.shape[0]
+            worst = far[k - 1]
             while waiting > 0:
                 waiting -= 1
                 first, last, node = firsts[waiting], lasts[waiting], nodes[waiting]
-                if bounds[waiting] > squares[m, k - 1]:
+                if bounds[waiting] > worst:
                     continue
                 while last - first > LEAF:
                     middle = (first + last) // 2
-                    lower = upper = 0.0
-                    for d in range(dimension):
-                        q = queries[m, d]
-                        lower += max(boxes[2 * node, 0, d] - q, q - boxes[2 * node, 1, d], 0.0) ** 2
-                        upper += max(boxes[2 * node + 1, 0, d] - q, q - boxes[2 * node + 1, 1, d], 0.0) ** 2
+                    lower, upper = gap_sq(boxes[2 * node], x, y, z), gap_sq(boxes[2 * node + 1], x, y, z)
                     if lower <= upper:
                         firsts[waiting], lasts[waiting], nodes[waiting] = middle, last, 2 * node + 1
                         bounds[waiting] = upper
@@ -136,22 +143,20 @@ def _build(stamp):
                         first, node = middle, 2 * node + 1
                     waiting += 1
                 for i in range(first, last):
-                    square = 0.0
-                    for d in range(dimension):
-                        square += (queries[m, d] - tree[i, d]) ** 2
+                    square = (x - tree[i, 0]) ** 2 + (y - tree[i, 1]) ** 2 + (z - tree[i, 2]) ** 2
+                    if square > worst:
+                        continue
                     index = order[i]
-                    place = k
+                    place = k - 1
+                    if square == worst and index > near[place]:
+                        continue
                     while place > 0 and (
-                        square < squares[m, place - 1]
-                        or (square == squares[m, place - 1] and index < indices[m, place - 1])
+                        square < far[place - 1] or (square == far[place - 1] and index < near[place - 1])
                     ):
-                        if place < k:
-                            squares[m, place] = squares[m, place - 1]
-                            indices[m, place] = indices[m, place - 1]
+                        far[place], near[place] = far[place - 1], near[place - 1]
                         place -= 1
-                    if place < k:
-                        squares[m, place] = square
-                        indices[m, place] = index
+                    far[place], near[place] = square, index
+                    worst = far[k - 1]
 
     return build_tree, nearest_k
 

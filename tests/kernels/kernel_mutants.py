@@ -516,9 +516,10 @@ CPU = {
         ("zz * unit", "zz"),
         ("LEFT, SWEEPS = 1e-30, 16", "LEFT, SWEEPS = 1e-30, 2"),
         ("total += weight", "total += 1.0"),
-        ("squares[n, k] <= reach_sq:\n                    weight", "squares[n, k] <= 0.0:\n                    weight"),
-        ("share * (points[rows[n, k], d] - mean[d])", "share * points[rows[n, k], d]"),
-        ("scatters[n, d, e] = scatters[n, e, d]", "pass"),
+        ("x += weight * points[i, 0]", "x += points[i, 0]"),
+        ("dx, dy, dz = points[i, 0] - x,", "dx, dy, dz = points[i, 0],"),
+        ("yz += sy * dz", "yz += sx * dz"),
+        ("scatter[1, 1] = xx, xy, xy, yy", "scatter[1, 1] = xx, xy, xx, yy"),
     ],
     "cpu/groups.py": [
         ("weight * values[i, c]", "values[i, c]"),

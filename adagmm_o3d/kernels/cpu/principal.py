@@ -6,7 +6,6 @@ calls, and for matrices of this size three times as fast.
 
 import math
 
-import numpy as np
 from numba import njit
 
 from adagmm_o3d.kernels.cpu.compiling import EXACT_KERNEL_FLAGS, POINTWISE_FLAGS, source_stamp
@@ -53,34 +52,39 @@ def _build(stamp):
         """`scatters` (n, D, D) receive the weighted covariances of (N, D) points with (N,) weights, each of those that
         (n, k) `rows` names and whose `squares` (n, k) are within `reach_sq`; `counts` (n,) how many these are."""
         _ = stamp
-        dimension = points.shape[1]
-        mean = np.empty(dimension)
+        planar = points.shape[1] == 2
         for n in range(rows.shape[0]):
-            mean[:] = 0.0
-            total, count = 0.0, 0
+            x = y = z = total = 0.0
+            count = 0
             for k in range(rows.shape[1]):
                 if squares[n, k] <= reach_sq:
-                    weight = weights[rows[n, k]]
+                    i = rows[n, k]
+                    weight = weights[i]
                     total += weight
                     count += 1
-                    for d in range(dimension):
-                        mean[d] += weight * points[rows[n, k], d]
+                    x += weight * points[i, 0]
+                    y += weight * points[i, 1]
+                    z += 0.0 if planar else weight * points[i, 2]
             counts[n] = count
             total = max(total, 1e-300)
-            for d in range(dimension):
-                mean[d] /= total
-                for e in range(dimension):
-                    scatters[n, d, e] = 0.0
+            x, y, z = x / total, y / total, z / total
+            xx = xy = xz = yy = yz = zz = 0.0
             for k in range(rows.shape[1]):
                 if squares[n, k] <= reach_sq:
-                    share = weights[rows[n, k]] / total
-                    for d in range(dimension):
-                        offset = share * (points[rows[n, k], d] - mean[d])
-                        for e in range(d, dimension):
-                            scatters[n, d, e] += offset * (points[rows[n, k], e] - mean[e])
-            for d in range(dimension):
-                for e in range(d):
-                    scatters[n, d, e] = scatters[n, e, d]
+                    i = rows[n, k]
+                    share = weights[i] / total
+                    dx, dy, dz = points[i, 0] - x, points[i, 1] - y, 0.0 if planar else points[i, 2] - z
+                    sx, sy = share * dx, share * dy
+                    xx += sx * dx
+                    xy += sx * dy
+                    xz += sx * dz
+                    yy += sy * dy
+                    yz += sy * dz
+                    zz += share * dz * dz
+            scatter = scatters[n]
+            scatter[0, 0], scatter[0, 1], scatter[1, 0], scatter[1, 1] = xx, xy, xy, yy
+            if not planar:
+                scatter[0, 2], scatter[1, 2], scatter[2, 0], scatter[2, 1], scatter[2, 2] = xz, yz, xz, yz, zz
 
     return principal_axes, scatter_among
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adagmm_o3d.arguments import Array
-from adagmm_o3d.grouping import Groups
+from adagmm_o3d.grouping import Groups, cell_numbers
 from adagmm_o3d.kernels.cpu.consistency import shared_support
 from adagmm_o3d.kernels.cpu.features import BINS, FEATURE, describe, nearest_features, scatter_around
 from adagmm_o3d.mixtures.merging import FLAGGED
@@ -103,11 +103,8 @@ def _grid_edge(mixture: Mixture) -> float:
 
 
 def _cells(points: Array, edge: float) -> NDArray[np.int64]:
-    """(n,) a number for the cube of each point."""
-    cells = (
-        np.floor((points - points.min(axis=0)) / edge).astype(np.int64) if len(points) else np.empty((0, 3), np.int64)
-    )
-    return (cells[:, 0] << 42) + (cells[:, 1] << 21) + cells[:, 2]
+    """(n,) a number for the cube of each point, counted from the corner of the cloud."""
+    return cell_numbers(points - points.min(axis=0, initial=math.inf), np.full(len(points), edge))
 
 
 def _thinned(mixture: Mixture, edge: float) -> Thinned:

@@ -26,7 +26,8 @@ def float_array(
     Parameters
     ----------
     name : what the error calls it.
-    value : anything NumPy reads as real numbers: arrays, lists, Open3D vectors, also of Python's own numbers.
+    value : anything NumPy reads as real numbers: arrays, lists, Open3D vectors, also of Python's own numbers; and
+        tensors, on whatever device.
     shape : one entry per axis: an int (exactly that), a tuple of ints (one of them) or a str (any; the error shows it).
     finite : refuse NaN and infinity.
     booleans : take them for 0 and 1, as in np.eye(4, dtype=bool); among points they are a mask put in the wrong place.
@@ -43,8 +44,9 @@ def float_array(
     """
     _refuse_masked(name, value)
     try:
-        array = np.asarray(value)
-    except (TypeError, ValueError):
+        # Open3D's NumPy does not read, nor any that lies on a GPU.
+        array = value.cpu().numpy() if type(value).__name__ == "Tensor" else np.asarray(value)
+    except (AttributeError, TypeError, ValueError, RuntimeError):
         got = f"a ragged {type(value).__name__}"
         raise InputTypeError(f"{name}: expected an array of real numbers, got {got}") from None
     if array.dtype == object and all(isinstance(entry, (Real, Decimal)) for entry in array.flat):

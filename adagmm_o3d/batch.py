@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -88,6 +89,9 @@ def _job(name: str, pair: Any, arguments: dict[str, Any]) -> Callable[[], Regist
             "in a tuple, or to register_batch()"
         )
     door: Callable[..., Registered] = registration_adaptive_gmm if clouds else register_points
+    known = inspect.signature(door).parameters
+    if unknown := [argument for argument in arguments if argument not in known]:
+        raise InputTypeError(f"{unknown[0]}: {door.__name__}() has no such argument; it takes {', '.join(known)}")
     return partial(door, *given, **named)
 
 

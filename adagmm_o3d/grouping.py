@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adagmm_o3d.arguments import Array
+from adagmm_o3d.sampling import distinct_places
 
 # A cloud is dense when it has so many points, and its cells no more than this share of them.
 DENSE_FROM, MOST_LEFT = 10_000, 0.6
@@ -61,15 +62,23 @@ def even_edge(points: Array) -> float | None:
     a quarter of it; None where the cloud is not dense."""
     if len(points) < DENSE_FROM:
         return None
-    edge = CELL * math.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean())
+    widest = CELL * math.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean())
+    edge = widest
     while edge > 0.0:
         cells = len(cells_of(points, edge))
         if cells > MOST_LEFT * len(points):
             break
         if cells >= FEWEST:
             return edge
+        if edge == widest and in_few_places(points):
+            break
         edge *= 0.5
     return None
+
+
+def in_few_places(points: Array) -> bool:
+    """Whether (n, D) points are given again and again in so few places that no cells can be FEWEST."""
+    return len(distinct_places(points)) < FEWEST
 
 
 def cells_of(points: Array, edge: float) -> Groups:

@@ -9,8 +9,8 @@ from adagmm_o3d.errors import InputError
 from adagmm_o3d.lazy_open3d import o3d
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.mixtures.normalisation import GOOD_SHARE
-from adagmm_o3d.mixtures.sampling import quantile
 from adagmm_o3d.result import Deferred
+from adagmm_o3d.sampling import quantile
 
 Cloud = TypeVar("Cloud")
 # Covariances whose sizes differ by less are as large as each other.

@@ -152,7 +152,8 @@ class PointRegistrationResult:
     energies : (K,) the paper's Eq. 5 in each iteration, in squared Mahalanobis distances, per unit of pair weight.
     transformations : (K+1, D+1, D+1) the pose before the first iteration and after each. The first is where the search
         left off or that of the start that won it, which need not be `init`.
-    dropped_source, dropped_target : points ignored because they or their covariances are not finite.
+    dropped_source, dropped_target : points ignored because they or their covariances are not finite, or because they
+        lie so far beyond all others that they cannot have been measured there.
     regularised_source, regularised_target : points whose covariance was singular and was given some thickness.
     ambiguous : another, clearly different pose explains the clouds as well. Only a global search can tell.
     doubts : one line for each reason not to trust the result that the registration itself came upon.

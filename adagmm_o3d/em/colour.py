@@ -18,7 +18,7 @@ from adagmm_o3d.kernels.cpu.colour_moments import DENSITY, FIRST, MOMENTS, PER_C
 from adagmm_o3d.mixtures.colours import ColourModel
 from adagmm_o3d.mixtures.merging import MergedMixture, sample
 from adagmm_o3d.mixtures.mixture import PACKED, Mixture
-from adagmm_o3d.mixtures.sampling import some_of
+from adagmm_o3d.sampling import some_of
 
 # Source points whose pairs are looked at, target points among which, and pairs that have nothing to do with each other.
 LOOKED_AT, AMONG, UNRELATED = 200, 20_000, 2000

@@ -9,17 +9,23 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from adagmm_o3d.arguments import Array, check_coordinates
+from adagmm_o3d.arguments import LARGEST_COORDINATE, Array, check_coordinates
 from adagmm_o3d.errors import DegenerateError, InputError
 from adagmm_o3d.kernels.limits import SMALLEST
+from adagmm_o3d.sampling import quantile, some_of
 
 MIN_POINTS = 3
 # A sensor model may fail at a point now and then (the Kinect data has one in thousands); more is a mistake upstream.
 MAX_NONFINITE_SHARE = 0.01
 # Squares of coordinates [input units] must not vanish; nor may they overflow, see `arguments.LARGEST_COORDINATE`.
 SMALLEST_EXTENT = 1e-140
-# The spread of so few points is measured exactly, see `check_spread`.
+# The spread of so few points is measured exactly, see `check_spread`, and none of them is far from all others.
 FEW_POINTS = 50
+# The bulk of a cloud: this share of its points, found on a sample of at most so many. Where others put the root mean
+# square distance from the median to SPREAD times that within which the bulk lies, those beyond FAR times it were never
+# measured there (a zero for no return, a wild echo): no sensor sees most of its points so near and a few so far.
+BULK, BULK_SAMPLE = 0.9, 20_000
+SPREAD, FAR = 3.0, 30.0
 
 
 def check_not_empty(name: str, count: int) -> None:
@@ -72,6 +78,22 @@ def check_count(name: str, usable: NDArray[np.bool_]) -> None:
         ignored = len(usable) - count
         rest = f" ({ignored} more {'is' if ignored == 1 else 'are'} not finite)" if ignored else ""
         raise DegenerateError(f"{name}.points: {points} cannot fix a pose; at least {MIN_POINTS} are needed{rest}")
+
+
+def far_points(p: Array) -> NDArray[np.bool_]:
+    """(n,) which of (n, D) points lie so far beyond all others that the scale of the cloud would be theirs."""
+    n = len(p)
+    if n < FEW_POINTS or not (np.abs(p) <= LARGEST_COORDINATE).all():
+        return np.zeros(n, bool)
+    sample = p[some_of(np.arange(n), BULK_SAMPLE)]
+    middle = quantile(sample, 0.5)
+    bulk = float(quantile(((sample - middle) ** 2).sum(axis=1), BULK))
+    largest = np.maximum(p.max(axis=0) - middle, middle - p.min(axis=0))
+    if bulk == 0.0 or float(largest @ largest) <= FAR**2 * bulk:
+        return np.zeros(n, bool)
+    squares = ((p - middle) ** 2).sum(axis=1)
+    far: NDArray[np.bool_] = squares > FAR**2 * bulk
+    return far if squares.mean() > SPREAD**2 * bulk else np.zeros(n, bool)
 
 
 def check_spread(name: str, p: Array) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adagmm_o3d.arguments import Array
-from adagmm_o3d.grouping import CELL, DENSE_FROM, FEWEST, MOST_KINDS, MOST_LEFT, Groups, cell_numbers
+from adagmm_o3d.grouping import CELL, DENSE_FROM, FEWEST, MOST_KINDS, MOST_LEFT, Groups, cell_numbers, in_few_places
 from adagmm_o3d.mixtures.mixture import Mixture
 
 # No part of a cloud that decides between ends resolves its shape better than this σ: a standard deviation of 1.6 % of
@@ -129,6 +129,8 @@ def _even_cells(mixture: Mixture) -> tuple[Cells | None, float]:
         return None, 0.0
     edge = CELL
     while (cells := _make_cells(mixture, np.full(len(mixture), edge))) is not None and len(cells.points) < FEWEST:
+        if edge == CELL and in_few_places(mixture.points):
+            return None, 0.0
         edge *= 0.5
     if cells is None:
         return None, 0.0

@@ -19,7 +19,7 @@ from adagmm_o3d.kernels.formulas import LOG2_SCALE
 from adagmm_o3d.kernels.layout import FACTOR, MATRIX
 from adagmm_o3d.mixtures.colours import ColourModel
 from adagmm_o3d.mixtures.mixture import Mixture, packed
-from adagmm_o3d.mixtures.sampling import some_of
+from adagmm_o3d.sampling import some_of
 
 # A cloud is thinned to this many points before it is merged; more say nothing about so few components.
 MERGE_FROM = 4096

@@ -20,6 +20,7 @@ from adagmm_o3d.mixtures.checks import (
     check_not_empty,
     check_spread,
     check_usable,
+    far_points,
     refuse_asymmetric,
     refuse_indefinite,
     typical_variance,
@@ -42,7 +43,8 @@ class Mixture:
 
     points : (n, 3).   covariances : (n, 3, 3), positive definite (in 2D the block xx, xy, yy; zz is 1).
     weights : (n,) > 0.   dimension : 2 or 3.   isotropic : every covariance is a multiple of the identity.
-    kept : (size of the input,) bool, False where a point or its covariance was not finite and is not in the mixture.
+    kept : (size of the input,) bool, False where a point or its covariance was not finite, or the point far beyond all
+        others, and is not in the mixture.
     regularised : how many of the input's covariances were singular.   colours : (n, 3), see `colours`, or None.
     """
 
@@ -212,7 +214,7 @@ def make_mixture(
     InputTypeError : not real numbers.   InputError : shape, no point that is finite (those that are not, as organised
     clouds have them where nothing was measured, are dropped and counted), covariances that are not symmetric, have a
     negative eigenvalue beyond rounding, are all zero, or are non-finite at more than 1 % of the points that are finite
-    (fewer are dropped and counted).
+    (fewer are dropped and counted, as is what `checks.far_points` finds).
     DegenerateError : fewer than 3 points, or all on one line (3D) or in one place (2D).
     """
     p = float_array(f"{name}.points", points, ("n", (2, 3)), finite=False)
@@ -226,6 +228,10 @@ def make_mixture(
         usable = measured & np.isfinite(c).all(axis=(1, 2))
         check_usable(name, measured, usable)
         p, c, w = p[usable], c[usable], w[usable]
+    far = far_points(p)
+    if far.any():
+        usable[usable] = ~far
+        p, c, w = p[~far], c[~far], w[~far]
     c, eigenvalues, regularised = _make_definite(name, c, usable)
     check_count(name, usable)
     check_spread(name, p)

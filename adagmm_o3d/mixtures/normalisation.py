@@ -12,7 +12,7 @@ from adagmm_o3d.arguments import Array
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.mixtures.checks import check_ratios
 from adagmm_o3d.mixtures.mixture import Mixture
-from adagmm_o3d.mixtures.sampling import quantile, some_of
+from adagmm_o3d.sampling import quantile, some_of
 
 # Half of all points may be flagged as outliers: the unit of variance is that of a point among the best.
 GOOD_SHARE = 0.125

@@ -9,7 +9,7 @@ import numpy as np
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.kernels.cpu.nearest_other import nearest_other_sq
 from adagmm_o3d.mixtures.mixture import Mixture
-from adagmm_o3d.mixtures.sampling import distinct_places, quantile, some_of
+from adagmm_o3d.sampling import distinct_places, quantile, some_of
 
 # How many points are asked for their nearest neighbour, and among how many at most.
 PROBES, PROBED = 150, 20_000

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from adagmm_o3d.em.runs import End, Start, distinct, pose_distance
-from adagmm_o3d.mixtures.sampling import quantile
+from adagmm_o3d.sampling import quantile
 from adagmm_o3d.search.levels import Levels, Sides
 
 

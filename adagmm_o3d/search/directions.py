@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from adagmm_o3d.arguments import Array
-from adagmm_o3d.mixtures.sampling import some_of
+from adagmm_o3d.sampling import some_of
 from adagmm_o3d.search.features import Alike, Thinned, nearest_rotations
 from adagmm_o3d.trust.laying import Facing, facing, facing_alike, laid_poses
 

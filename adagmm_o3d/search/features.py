@@ -20,8 +20,8 @@ from adagmm_o3d.kernels.cpu.consistency import shared_support
 from adagmm_o3d.kernels.cpu.features import BINS, FEATURE, describe, nearest_features, scatter_around
 from adagmm_o3d.mixtures.merging import FLAGGED
 from adagmm_o3d.mixtures.mixture import Mixture
-from adagmm_o3d.mixtures.sampling import some_of
 from adagmm_o3d.principal import principal_axes
+from adagmm_o3d.sampling import some_of
 
 # Points of a thinned cloud, from how many of the cloud's, and how many of these each stands for at least: the normal of
 # fewer is noise. With fewer thinned points than FEWEST no shape is left to recognise.

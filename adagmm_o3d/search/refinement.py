@@ -10,7 +10,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from adagmm_o3d.em.colour import estimate_between
-from adagmm_o3d.em.expectation import FASTEST, LEAST_UNMATCHED, SAMPLED_SIGMA, PosteriorExpectation, posterior_rule
+from adagmm_o3d.em.expectation import (
+    FASTEST,
+    FINEST_SIGMA,
+    LEAST_UNMATCHED,
+    SAMPLED_SIGMA,
+    PosteriorExpectation,
+    posterior_rule,
+)
 from adagmm_o3d.em.loop import Outcome, expectation_maximisation
 from adagmm_o3d.em.runs import End, Limits, Start, joined, run_starts
 from adagmm_o3d.kernels.update import MOVING, fresh_memory
@@ -96,7 +103,7 @@ def refine(
         return Refined(outcome, ended, pairs, *sides)
 
     dense = any(cloud.dense for cloud in clouds)
-    last = max(cloud.last for cloud in clouds) if dense else SAMPLED_SIGMA
+    last = max(FINEST_SIGMA, *(cloud.last for cloud in clouds)) if dense else SAMPLED_SIGMA
     fit = Fit(end.pose, end.sigma, end.unmatched, mutuality)
     iterations: tuple[Iteration, ...] = ()
     while True:

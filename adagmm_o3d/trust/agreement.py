@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.runs import inverse_of
 from adagmm_o3d.mixtures.merging import MergedMixture
-from adagmm_o3d.mixtures.sampling import quantile, some_of
 from adagmm_o3d.mixtures.spacing import spacing_of
 from adagmm_o3d.neighbors import NeighborIndex
+from adagmm_o3d.sampling import quantile, some_of
 from adagmm_o3d.trust.normals import normals_of
 
 # So few points are no surface.

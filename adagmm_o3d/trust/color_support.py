@@ -7,9 +7,9 @@ import numpy as np
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.unmatched import uniform_density
 from adagmm_o3d.mixtures.mixture import Mixture
-from adagmm_o3d.mixtures.sampling import quantile, some_of
 from adagmm_o3d.mixtures.spacing import spacing_of_whole
 from adagmm_o3d.pairs.device import make_pair_loop
+from adagmm_o3d.sampling import quantile, some_of
 from adagmm_o3d.trust.pose_covariance import Fit
 
 # The share of points without a partner that is taken for granted, and the probability from which a point has one.

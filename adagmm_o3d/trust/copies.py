@@ -7,9 +7,9 @@ import numpy as np
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.mixtures.merging import FLAGGED
 from adagmm_o3d.mixtures.mixture import Mixture
-from adagmm_o3d.mixtures.sampling import some_of
 from adagmm_o3d.mixtures.spacing import spacing_of
 from adagmm_o3d.neighbors import NeighborIndex
+from adagmm_o3d.sampling import some_of
 
 # Points that are asked, and how near its copy each is, in spacings.
 ASKED, SAME = 1000, 0.05

@@ -17,9 +17,9 @@ from adagmm_o3d.lie import se_exp
 from adagmm_o3d.mixtures.colours import ColourModel
 from adagmm_o3d.mixtures.merging import FLAGGED
 from adagmm_o3d.mixtures.mixture import Mixture
-from adagmm_o3d.mixtures.sampling import some_of
 from adagmm_o3d.mixtures.spacing import spacing_of_whole
 from adagmm_o3d.neighbors import NeighborIndex
+from adagmm_o3d.sampling import some_of
 from adagmm_o3d.trust.partners import RADII, SPACINGS
 
 # How far the points are slid, in radii, and the edge of the cells that count once: neighbours look alike.

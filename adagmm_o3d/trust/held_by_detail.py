@@ -20,7 +20,7 @@ from adagmm_o3d.grouping import block_numbers
 from adagmm_o3d.lie import se_exp
 from adagmm_o3d.mixtures.merging import FLAGGED
 from adagmm_o3d.mixtures.mixture import Mixture
-from adagmm_o3d.mixtures.sampling import some_of
+from adagmm_o3d.sampling import some_of
 from adagmm_o3d.trust.agreement import NEAR, NEIGHBORS, Surface, typical_off
 
 # How far the points are slid, in radii, and the edge of the cells that count once: what is off in one is off as one.

@@ -21,8 +21,8 @@ from adagmm_o3d.em.colour import ColourEstimate
 from adagmm_o3d.em.runs import Limits, Start, inverse_of, run_starts
 from adagmm_o3d.mixtures.merging import MergedMixture
 from adagmm_o3d.mixtures.mixture import Mixture
-from adagmm_o3d.mixtures.sampling import distinct_places, quantile, some_of
 from adagmm_o3d.mixtures.spacing import spacing_of
+from adagmm_o3d.sampling import distinct_places, quantile, some_of
 from adagmm_o3d.trust.agreement import HELD, LEAST_POINTS, Surface, agreement, surfaces_of
 from adagmm_o3d.trust.free_space import RangeImage
 

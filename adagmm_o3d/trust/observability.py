@@ -19,8 +19,8 @@ from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.m_step import FREE
 from adagmm_o3d.mixtures.merging import FLAGGED
 from adagmm_o3d.mixtures.mixture import Mixture
-from adagmm_o3d.mixtures.sampling import some_of
 from adagmm_o3d.neighbors import NeighborIndex
+from adagmm_o3d.sampling import some_of
 from adagmm_o3d.trust.normals import normals_of
 
 # Clouds are thinned to this many points, so that neighbours are further apart than the noise.

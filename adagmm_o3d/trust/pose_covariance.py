@@ -41,9 +41,9 @@ from adagmm_o3d.mixtures.colours import ColourModel
 from adagmm_o3d.mixtures.merging import FLAGGED
 from adagmm_o3d.mixtures.mixture import PACKED, Mixture
 from adagmm_o3d.mixtures.normalisation import Normalisation
-from adagmm_o3d.mixtures.sampling import some_of
 from adagmm_o3d.pairs.protocol import Pairs
 from adagmm_o3d.result import PoseUncertainty
+from adagmm_o3d.sampling import some_of
 from adagmm_o3d.trust.copies import are_copies
 from adagmm_o3d.trust.held_by_colour import free_of_colours
 from adagmm_o3d.trust.held_by_detail import free_of_detail

@@ -18,8 +18,8 @@ from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.runs import Limits, Start, pose_distance, run_starts
 from adagmm_o3d.lie import so_exp
 from adagmm_o3d.mixtures.merging import MergedMixture
-from adagmm_o3d.mixtures.sampling import some_of
 from adagmm_o3d.neighbors import NeighborIndex
+from adagmm_o3d.sampling import some_of
 from adagmm_o3d.trust.agreement import Surface
 from adagmm_o3d.trust.judge import Judge, of_rival
 from adagmm_o3d.trust.laying import Facing, facing, laid_poses

@@ -17,6 +17,7 @@ from adagmm_o3d.grouping import cells_of, even_edge
 from adagmm_o3d.kernels.limits import EPSILON, KNN, LINE_RATIO
 from adagmm_o3d.neighbors import NeighborIndex
 from adagmm_o3d.principal import principal_axes, scatter_among
+from adagmm_o3d.sampling import distinct_places
 from adagmm_o3d.uncertainty.planes import CHUNK, find_planes
 
 CELLS = (0.5, 1.0, 2.0)
@@ -167,12 +168,14 @@ def _cell_covariances(points: Array, edge: float, knn: int, thickness: float) ->
 
 def _estimate_normals(points: Array, knn: int, chosen: NDArray[np.intp]) -> Array:
     """Unit normals of the chosen points (K, D), zero where the neighbourhood has none."""
-    index = NeighborIndex(points)
+    # Points that are given again would be nobody's neighbours but each other's.
+    places = points[np.sort(distinct_places(points))]
+    index = NeighborIndex(places)
     normals = np.empty((len(chosen), points.shape[1]))
     for start in range(0, len(chosen), CHUNK):
         chunk = slice(start, start + CHUNK)
         rows, _ = index.query(points[chosen[chunk]], knn)
-        variances, directions = principal_axes(scatter_among(points, rows)[0])
+        variances, directions = principal_axes(scatter_among(places, rows)[0])
         has_normal = variances[:, 1] > LINE_RATIO * variances.sum(axis=1)
         normals[chunk] = np.where(has_normal[:, None], directions[:, :, 0], 0.0)
     return normals

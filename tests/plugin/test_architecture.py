@@ -26,7 +26,7 @@ ROWS = (
     ("uncertainty",),
     ("grouping", "neighbors", "principal"),
     ("kernels",),
-    ("lie", "options", "result"),
+    ("lie", "options", "result", "sampling"),
     ("arguments", "entry_points", "lazy_open3d"),
     ("errors", "version"),
 )

@@ -282,11 +282,32 @@ def test_nothing_but_outliers_on_both_sides_is_a_common_factor(cloud, rule):
 
 
 @rules
-def test_a_far_point_that_is_not_flagged_is_refused(cloud, rule):
+@pytest.mark.parametrize("distance", [1e3, 1e6, 1e9])
+def test_a_far_point_is_left_out(cloud, rule, distance):
     points, T = cloud
-    far = np.vstack([points, [[1e6, 0.0, 0.0]]])
-    with pytest.raises(InputError, match=r"^source\.points: 90% lie within 1.\d+ of their median, but the radius of"):
-        register_points(far, move(points, T), estimation_method=with_rule(rule))
+    far = np.vstack([points, [[distance, 0.0, 0.0]]])
+    result = register_points(far, move(points, T), estimation_method=with_rule(rule))
+    alone = register_points(points, move(points, T), estimation_method=with_rule(rule))
+    assert (result.dropped_source, result.dropped_target) == (1, 0)
+    assert result.row_weights[-1] == 0.0
+    np.testing.assert_array_equal(result.transformation, alone.transformation)
+    assert result.warnings == alone.warnings
+
+
+def test_zeros_for_no_return_far_from_the_scene_are_left_out(cloud):
+    points, T = cloud
+    there = points + 500.0
+    here = move(there, T)
+    zeros = np.zeros((9, 3))
+    result = register_points(np.vstack([zeros, there]), np.vstack([here, zeros]))
+    assert (result.dropped_source, result.dropped_target) == (9, 9)
+    np.testing.assert_allclose(result.transformation, register_points(there, here).transformation, atol=1e-9)
+
+
+@pytest.mark.parametrize("make", [lambda rng: rng.normal(size=(N, 3)), lambda rng: rng.standard_t(2, size=(3000, 3))])
+def test_what_thins_out_with_distance_is_not_far(make):
+    points = make(np.random.default_rng(8))
+    assert register_points(points, move(points, random_pose(np.random.default_rng(9), 3))).dropped_source == 0
 
 
 @rules
@@ -312,6 +333,21 @@ def test_points_repeated_in_one_place(cloud, rule):
     points, T = cloud
     repeated = np.vstack([points, np.repeat(points[:1], N, axis=0)])
     assert_right_or_doubted(register_points(repeated, move(repeated, T), estimation_method=with_rule(rule)), T)
+
+
+@pytest.mark.parametrize("places", [400, 2000])
+@pytest.mark.parametrize("times", [5, 30])
+def test_points_given_again_and_again(places, times):
+    """They make a dense cloud of few places: there is no scale below that of these."""
+    rng = np.random.default_rng(6)
+    points, T = bumpy(rng, places, 3), random_pose(rng, 3, angle=0.2, distance=0.2)
+    source, target = (o3d.geometry.PointCloud(o3d.utility.Vector3dVector(p)) for p in (points, move(points, T)))
+    again = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.repeat(points, times, axis=0)))
+    result = registration_adaptive_gmm(again, target, 0.1, np.eye(4)).details
+    assert result.warnings == registration_adaptive_gmm(source, target, 0.1, np.eye(4)).details.warnings == ()
+    assert np.isfinite(result.pose_covariance).all()
+    errors = pose_errors(T, result.transformation)
+    assert errors.rotation_deg < 0.05 and errors.translation < 1e-3
 
 
 @pytest.mark.parametrize("make", [lambda rng: rng.normal(size=(N, 3)), lambda rng: rng.uniform(size=(N, 3))])

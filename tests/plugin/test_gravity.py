@@ -83,6 +83,10 @@ def test_clouds_that_are_tilted_against_each_other_are_said_to_be(axis, tilted, 
         assert any("tilted by" in warning for warning in warnings) == said, warnings
 
 
+def test_a_tensor_is_a_direction():
+    assert upright(o3d.core.Tensor([0.0, 0.0, 2.0])).gravity == (0.0, 0.0, 1.0)
+
+
 def test_an_axis_that_is_not_gravity_is_said_too():
     source, target, _ = pair((0.0, 0.0, 1.0), 2000)
     near = move(source, upright_pose((0.0, 0.0, 1.0), 0.3, (0.2, -0.1, 0.15)))

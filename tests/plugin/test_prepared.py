@@ -263,6 +263,11 @@ def test_a_pair_that_fails_leaves_the_others():
         ([{"source": np.eye(3)}], {}, r"pairs\[0\]: .* got no target"),
         ([(legacy(np.eye(3)), legacy(np.eye(3)))], {}, r"pairs\[0\]: expected max_correspondence_distance"),
         ([{"source": np.eye(3), "target": np.eye(3), "device": "cuda"}], {}, r"pairs\[0\]: expected no device"),
+        (
+            [(np.eye(3), np.eye(3))],
+            {"criterion": None},
+            r"criterion: register_points\(\) has no such argument",
+        ),
         ([], {"device": "tpu"}, "device: expected one of"),
         ([], {"threads": 0}, "threads: expected an integer >= 1"),
     ],

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from adagmm_o3d.mixtures.sampling import distinct_places, quantile, some_of
+from adagmm_o3d.sampling import distinct_places, quantile, some_of
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 10, 101])

@@ -284,6 +284,12 @@ def test_surface_covariances_do_not_depend_on_the_chunk(monkeypatch):
     np.testing.assert_array_equal(estimate_surface_covariances(points), whole)
 
 
+def test_points_given_again_have_the_covariances_of_one():
+    points = np.random.default_rng(4).normal(size=(300, 3)) * [1.0, 1.0, 0.05]
+    again = estimate_surface_covariances(np.repeat(points, 30, axis=0))
+    np.testing.assert_array_equal(again, np.repeat(estimate_surface_covariances(points), 30, axis=0))
+
+
 def test_fewer_points_than_neighbours_use_them_all():
     points = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
     np.testing.assert_allclose(

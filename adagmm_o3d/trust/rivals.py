@@ -54,8 +54,10 @@ def margin_over_turned(judge: Judge, pose: Array, held: float) -> float:
     margin = judge.confidence(pose, 1.0) - max((judge.confidence(end, 1.0) for end in ends), default=-math.inf)
     # One that explains as much as a right pose does may be right, however much more this one explains.
     own = float(judge.evidence([pose])[0])
-    known = of_rival(judge.known(own), own)
-    return min(margin, 0.0) if any(judge.may_be_right(end, known, held) for end in ends) else margin
+    known = judge.known(own)
+    least = of_rival(known, own)
+    rivals = (judge.may_be_right(end, least, held) or judge.does_as_well(end, known, held) for end in ends)
+    return min(margin, 0.0) if any(rivals) else margin
 
 
 def refined(sides: tuple[MergedMixture, MergedMixture], poses: list[Array], stage: int, sigma: float) -> list[Array]:

@@ -408,6 +408,15 @@ def test_a_room_turned_by_half_a_turn_leaves_no_margin_though_it_explains_much_m
     assert all(margin_over_turned(judge, found, judge.held(found)) <= 0.0 for found in (pose, turned))
 
 
+@pytest.mark.parametrize(
+    ("evidence", "held", "does"), [(2.8, 0.82, True), (2.8, 0.84, True), (2.8, 0.81, False), (2.6, 0.84, False)]
+)
+def test_what_holds_no_less_does_as_well_though_neither_holds_as_the_halves_of_a_cloud_do(evidence, held, does):
+    """As the right pose of street scans beside one half a turn off, at which 0.83 holds."""
+    judge = SimpleNamespace(evidence=lambda poses: np.array([evidence]), held=lambda pose: held)
+    assert Judge.does_as_well(judge, np.eye(4), 2.65, 0.825) is does
+
+
 def test_of_the_same_points_no_other_pose_may_be_right():
     """An ellipsoid fits itself half a turn off, but only its very points coincide."""
     points = np.random.default_rng(3).normal(size=(400, 3))

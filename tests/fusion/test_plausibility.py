@@ -8,10 +8,16 @@ import pytest
 from shared_data import ROOT, shared_data
 
 from adagmm_fusion.cli import main
-from adagmm_fusion.frames.depth_checks import UNIT_MISTAKES, color_offset, looks_like_disparity, unit_mistake
+from adagmm_fusion.frames.depth_checks import (
+    UNIT_MISTAKES,
+    color_offset,
+    looks_like_disparity,
+    nearer_than_cameras_see,
+    unit_mistake,
+)
 from adagmm_fusion.pairs.mirrored import agreeing_matches, looks_mirrored
 from adagmm_fusion.pairs.plausibility import recording_warnings, sensor_warnings
-from adagmm_fusion.recordings.frame_sequence import FrameEntry, Recording
+from adagmm_fusion.recordings.frame_sequence import FrameEntry, PairEntry, Recording
 from adagmm_fusion.recordings.opening import open_recording
 
 SHIPPED = ROOT / "recordings" / "two_kinects"
@@ -121,6 +127,35 @@ def test_where_no_steps_are_the_known_poses_tell_the_unit(shipped):
     metres = changed(shipped, None, lambda frame: replace(frame, depth=frame.depth_m() * 1.0, depth_scale=1000.0))
     (warning,) = recording_warnings(metres)
     assert warning.startswith("the depth looks 1000 times too small: by the known poses")
+
+
+def test_depth_that_is_all_nearer_than_cameras_see(shipped):
+    """The known poses, which would say by how much, are taken away, and so are the steps of structured light."""
+
+    def scaled(times):
+        entries = [replace(entry, T_world_camera=None) for entry in shipped.entries if entry.sensor == "right"][:2]
+        alone = replace(shipped, entries=tuple(entries), pairs=(PairEntry(1, 0),))
+        depth = lambda frame: (frame.depth_m() * times).astype(np.float32)  # noqa: E731
+        return changed(alone, None, lambda frame: replace(frame, depth=depth(frame), depth_scale=1.0))
+
+    median = np.nanmedian(scaled(0.05).entries[0].load().depth_m())
+    (warning,) = recording_warnings(scaled(0.05))
+    assert warning == (
+        f"right: the depth looks several times too small: half of it is nearer than {median:.2g} m and hardly any "
+        "beyond 0.5 m, where few depth cameras see; check depth_scale 1"
+    )
+    assert recording_warnings(scaled(1.0)) == ()
+
+
+def test_near_things_before_a_far_wall_or_in_one_frame_alone_say_nothing(frames):
+    near = replace(frames[0], depth=np.full_like(frames[0].depth, 150))
+    assert nearer_than_cameras_see([near, near]) == pytest.approx(0.15)
+    wall = near.depth.copy()
+    wall[:10] = 2000
+    assert nearer_than_cameras_see([replace(near, depth=wall)] * 2) is None
+    assert nearer_than_cameras_see([near, replace(near, depth=near.depth * 2)]) is None
+    assert nearer_than_cameras_see([]) is None
+    assert nearer_than_cameras_see([replace(near, depth=np.zeros_like(near.depth))]) is None
 
 
 @pytest.mark.slow

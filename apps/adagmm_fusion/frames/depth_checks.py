@@ -27,6 +27,8 @@ MIN_LEVELS = 40
 # Units that are taken for each other: what is read is this many times what is true.
 UNIT_MISTAKES = (0.001, 0.1, 0.2, 5.0, 10.0, 1000.0)
 UNIT_TOLERANCE = 1.45
+# Few depth cameras see anything so near: half of each frame nearer than the first [m], all but a share than the second.
+NEAR_M, NOT_BEYOND_M, BEYOND_SHARE = 0.25, 0.5, 0.01
 
 MILLIMETRES_PER_METRE = 1000.0
 FAR_M = 100.0  # no depth camera sees so far
@@ -143,6 +145,16 @@ def _step_factor(levels: np.ndarray, unit: float) -> float | None:
     if len(factors) < 3 or max(factors) > (1 + STEPS_ALIKE) * min(factors):
         return None
     return float(np.median(factors))
+
+
+def nearer_than_cameras_see(frames: Sequence[RGBDFrame]) -> float | None:
+    """The median depth [m] where it and all but a little depth are nearer than most cameras see at all, else None."""
+    depths = [depth[np.isfinite(depth)] for depth in (frame.depth_m() for frame in frames)]
+    depths = [depth for depth in depths if len(depth)]
+    if not depths or max(float(np.median(depth)) for depth in depths) >= NEAR_M:
+        return None
+    everything = np.concatenate(depths)
+    return float(np.median(everything)) if np.mean(everything > NOT_BEYOND_M) < BEYOND_SHARE else None
 
 
 def looks_like_disparity(frames: Sequence[RGBDFrame]) -> bool:

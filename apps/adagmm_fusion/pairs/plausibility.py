@@ -5,7 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from adagmm_fusion.frames.depth_checks import UNIT_MISTAKES, color_offset, looks_like_disparity, unit_mistake
+from adagmm_fusion.frames.depth_checks import (
+    NOT_BEYOND_M,
+    UNIT_MISTAKES,
+    color_offset,
+    looks_like_disparity,
+    nearer_than_cameras_see,
+    unit_mistake,
+)
 from adagmm_fusion.frames.pose_readings import agreeing_share, clearly_better, sampled_points
 from adagmm_fusion.frames.rgbd import RGBDFrame, RGBDPair
 from adagmm_fusion.pairs.mirrored import looks_mirrored
@@ -17,16 +24,21 @@ from adagmm_o3d.errors import AdaGMMError
 FRAMES, PAIRS = 4, 3
 # What known ways are multiplied by to see whether the depth images agree better.
 WAYS = np.geomspace(0.05, 20.0, 61)
+DEPTH_LOOKS = "the depth looks"
 WAYS_LOOK = "the ways between the known poses look"
 
 
 def recording_warnings(recording: Recording) -> tuple[str, ...]:
     """A line for each thing that looks wrong; loads a few frames. What cannot be read is left to whoever needs it."""
-    warnings = []
+    warnings: list[str] = []
+    near: list[str] = []
     for sensor in recording.sensors:
         own = [entry for entry in recording.entries if entry.sensor == sensor]
         frames = list(_loaded([own[i].load for i in _spread(len(own), FRAMES)]))
-        warnings += [f"{sensor}: {text}" for text in sensor_warnings(frames)]
+        found = sensor_warnings(frames)
+        warnings += [f"{sensor}: {text}" for text in found]
+        if not any(text.startswith(DEPTH_LOOKS) for text in found) and (text := _near_warning(frames)) is not None:
+            near.append(f"{sensor}: {text}")
     pairs = list(_loaded([lambda i=i: recording[i] for i in _spread(len(recording), PAIRS)]))
     for pair in pairs:
         if pair.source.sensor != pair.target.sensor and looks_mirrored(pair.source, pair.target):
@@ -37,7 +49,8 @@ def recording_warnings(recording: Recording) -> tuple[str, ...]:
     scale = None
     if known and not any("depth_scale" in text for text in warnings):
         scale = _scale_warning(known) or _ways_warning(known)
-    return (*warnings, *extrinsics_notes(recording), *([] if scale is None else [scale]))
+    # The known poses say by how much; without them all that can be said is that it is near.
+    return (*warnings, *extrinsics_notes(recording), *(near if scale is None else [scale]))
 
 
 def sensor_warnings(frames: Sequence[RGBDFrame]) -> list[str]:
@@ -47,12 +60,12 @@ def sensor_warnings(frames: Sequence[RGBDFrame]) -> list[str]:
     warnings = []
     if looks_like_disparity(frames):
         warnings.append(
-            "the depth looks like disparity: planes are straight in it; depth is focal length x baseline / it"
+            f"{DEPTH_LOOKS} like disparity: planes are straight in it; depth is focal length x baseline / it"
         )
     elif (times := unit_mistake(frames)) is not None:
         scale = frames[0].depth_scale
         warnings.append(
-            f"the depth looks {_times(times)}: its steps are not those of structured light at this depth; "
+            f"{DEPTH_LOOKS} {_times(times)}: its steps are not those of structured light at this depth; "
             f"depth_scale {scale:g} should be {scale * times:g}"
         )
     offset = color_offset(frames)
@@ -65,6 +78,17 @@ def sensor_warnings(frames: Sequence[RGBDFrame]) -> list[str]:
             f"{offset.down_px:+d} px down); register the depth to the colour"
         )
     return warnings
+
+
+def _near_warning(frames: Sequence[RGBDFrame]) -> str | None:
+    """Whether all is so near that the depth rather has another unit."""
+    median = nearer_than_cameras_see(frames)
+    if median is None:
+        return None
+    return (
+        f"{DEPTH_LOOKS} several times too small: half of it is nearer than {median:.2g} m and hardly any beyond "
+        f"{NOT_BEYOND_M:g} m, where few depth cameras see; check depth_scale {frames[0].depth_scale:g}"
+    )
 
 
 def _scale_warning(known: Sequence[RGBDPair]) -> str | None:
@@ -80,7 +104,7 @@ def _scale_warning(known: Sequence[RGBDPair]) -> str | None:
     if not clearly_better(shares[best], given):
         return None
     return (
-        f"the depth looks {_times(best)}: by the known poses {100 * shares[best]:.0f} % of the points agree if that is "
+        f"{DEPTH_LOOKS} {_times(best)}: by the known poses {100 * shares[best]:.0f} % of the points agree if that is "
         f"put right, as it is {100 * given:.0f} %; check depth_scale"
     )
 

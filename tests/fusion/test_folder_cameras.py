@@ -162,6 +162,17 @@ def test_a_principal_point_far_from_the_middle_is_said(recorded):
     assert recorded({"K.txt": ROWS}).notes == (UNIT,)
 
 
+@pytest.mark.parametrize("size", [{}, {"width": 160, "height": 120}])
+def test_cx_and_cy_that_look_exchanged_are_said(recorded, size):
+    recording = recorded({"k.json": NAMED | {"cx": 60.5, "cy": 79.0} | size})
+    said = "k.json: cx 60.5 cy 79 look exchanged, for images of 160x120; if they are, exchange them in the file"
+    assert recording.notes == (said, UNIT)
+    # Off in one direction, or in both and exchanged as well: a part of a larger image.
+    for cx, cy in ((60.5, 60.0), (80.0, 79.0), (60.5, 100.0)):
+        notes = recorded({"k.json": NAMED | {"cx": cx, "cy": cy} | size}).notes
+        assert not any("exchanged" in note for note in notes)
+
+
 def test_of_two_files_that_for_the_images_size_is_taken(recorded, tmp_path):
     recording = recorded({"K_a.txt": "300 0 200\n0 300 150\n0 0 1\n", "K_b.txt": ROWS})
     assert intrinsics(recording) == SMALL

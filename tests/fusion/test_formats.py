@@ -364,6 +364,13 @@ def test_redwood_depth_scale_and_distortion_of_the_camera_file_count(redwood):
     assert (frame.depth_scale, frame.intrinsics.distortion[:2]) == (250.0, (0.1, -0.2))
 
 
+def test_redwood_cx_and_cy_that_look_exchanged_are_said(redwood):
+    redwood_camera(redwood, intrinsic_matrix=[30.0, 0, 0, 0, 30.0, 0, 12.0, 16.0, 1])
+    recording = open_recording(redwood)
+    assert recording.format == "redwood"
+    assert recording.notes[0].startswith("camera_intrinsic.json: cx 12 cy 16 look exchanged, for images of 32x24")
+
+
 @pytest.mark.parametrize("name", ["K.txt", "calibration.json"])
 def test_redwood_beside_another_camera_file_is_read_with_that(redwood, name):
     """It was passed over, and PrimeSense's numbers taken."""

@@ -65,6 +65,8 @@ FEW_VALUES = "a 3x3 or 4x4 matrix or fx fy cx cy"
 EXPECTED = f"{FEW_VALUES}, or width height fx fy cx cy, or names (fx, fy, cx, cy) with their values"
 # A principal point further from the middle than these shares of the image is rather that of another image size.
 NEAR_MIDDLE = (0.35, 0.65)
+# Where both of cx and cy are off by more than this share of the image, and neither would be if exchanged, they are.
+EXCHANGED = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,11 +94,20 @@ class CameraFile:
             raise RecordingError(f"{self.path}: {problem}") from problem
 
     def doubt(self, sizes: tuple[tuple[int, int], ...]) -> str | None:
-        """What to say where the file names no size and the principal point is far from the image's middle, or None."""
-        if self.size is not None:
-            return None
+        """What to say where cx and cy look exchanged, or where the file names no size and the principal point is far
+        from the image's middle, or None."""
         width, height = self._size(sizes)
         fx, fy, cx, cy = (float(self.K[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
+        off, exchanged = (
+            (abs(x / width - 0.5) > EXCHANGED, abs(y / height - 0.5) > EXCHANGED) for x, y in ((cx, cy), (cy, cx))
+        )
+        if all(off) and not any(exchanged):
+            return (
+                f"{self.path.name}: cx {cx:g} cy {cy:g} look exchanged, for images of {width}x{height}; "
+                "if they are, exchange them in the file"
+            )
+        if self.size is not None:
+            return None
         low, high = NEAR_MIDDLE
         if low <= cx / width <= high and low <= cy / height <= high:
             return None

@@ -180,7 +180,10 @@ def _read_intrinsics(
         camera = read_camera_file(path)
         if camera is None:
             raise RecordingError(f"{path}: expected width, height and intrinsic_matrix (9 numbers)")
-        return camera.intrinsics((camera.size or image_size(depth),)), camera.depth_scale or DEPTH_SCALE
+        sizes = (camera.size or image_size(depth),)
+        if (doubt := camera.doubt(sizes)) is not None:
+            notes.append(doubt)
+        return camera.intrinsics(sizes), camera.depth_scale or DEPTH_SCALE
     k = PRIMESENSE
     if options.rig is not None:
         return None, DEPTH_SCALE

@@ -273,6 +273,22 @@ def test_tum_poses_of_nan_are_none(tum):
     assert poses[0] is None and poses[-1] is not None
 
 
+def test_tum_trajectory_by_another_clock_is_said(tum):
+    """It was passed over, and no ground truth known."""
+    assert open_recording(tum).notes == ()
+    lines = (tum / "groundtruth.txt").read_text().splitlines()[1:]
+    rows = [(float(line.split()[0]), line.split()[1:]) for line in lines]
+    (tum / "groundtruth.txt").write_text("".join(" ".join([f"{t - 99:.6f}", *row]) + "\n" for t, row in rows))
+    recording = open_recording(tum)
+    stamps = [entry.timestamp for entry in recording.entries]
+    assert recording.notes == (
+        f"groundtruth.txt: it reaches from {rows[0][0] - 99:.3f} to {rows[-1][0] - 99:.3f} s and the frames from "
+        f"{stamps[0]:.3f} to {stamps[-1]:.3f} s, none within it; do their clocks differ? no pose is known, "
+        "give both the same times",
+    )
+    assert all(entry.T_world_camera is None for entry in recording.entries)
+
+
 @pytest.mark.parametrize("name", ["associations.txt", "associate.txt"])
 def test_tum_with_associations_alone(tum, name):
     """It was read as any folder, with millimetres."""

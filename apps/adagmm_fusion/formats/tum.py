@@ -82,8 +82,8 @@ def read(folder: Path, options: ReadOptions) -> Recording:
             f"{folder}: none of the {len(associations)} associated colour and depth images is there{first}"
         )
     stamps = np.array([depth_stamp for depth_stamp, _, _ in present])
-    poses = _poses_at(folder / "groundtruth.txt", stamps)
-    intrinsics, depth_scale, notes = calibration_with_own(
+    poses, time_notes = _poses_at(folder / "groundtruth.txt", stamps)
+    intrinsics, depth_scale, camera_notes = calibration_with_own(
         folder, options, SENSOR, _known_intrinsics(folder), DEPTH_SCALE, (depth for _, _, depth in present)
     )
     entries = tuple(
@@ -100,7 +100,7 @@ def read(folder: Path, options: ReadOptions) -> Recording:
         pairs = _read_pairs(folder / "pairs.txt", stamps, depth_units)
     else:
         pairs = sequential_pairs(len(entries), options.step)
-    return Recording(folder.name, folder, NAME, entries, pairs, notes=notes)
+    return Recording(folder.name, folder, NAME, entries, pairs, notes=(*camera_notes, *time_notes))
 
 
 def _read_stamps(folder: Path, name: str) -> tuple[list[tuple[float, Path]], float]:
@@ -160,10 +160,10 @@ def _associate(
     return sorted(associations)
 
 
-def _poses_at(path: Path, stamps: np.ndarray) -> list[np.ndarray | None]:
-    """T_world_camera at each time, None outside the trajectory and in its gaps."""
+def _poses_at(path: Path, stamps: np.ndarray) -> tuple[list[np.ndarray | None], tuple[str, ...]]:
+    """T_world_camera at each time, None outside the trajectory and in its gaps; and what to say if all are outside."""
     if not is_given(path):
-        return [None] * len(stamps)
+        return [None] * len(stamps), ()
     rows, columns = [], quaternion_columns(path)
     for where, words in read_rows(path):
         words = in_usual_order(words, columns, where)
@@ -194,7 +194,12 @@ def _poses_at(path: Path, stamps: np.ndarray) -> list[np.ndarray | None]:
             pose[:3, :3] = Slerp([0.0, 1.0], rotations[[before, after]])(share).as_matrix()
             pose[:3, 3] = (1 - share) * translations[before] + share * translations[after]
         poses.append(pose)
-    return poses
+    if np.any((stamps >= times[0]) & (stamps <= times[-1])):
+        return poses, ()
+    return poses, (
+        f"{path.name}: it reaches from {times[0]:.3f} to {times[-1]:.3f} s and the frames from {stamps.min():.3f} to "
+        f"{stamps.max():.3f} s, none within it; do their clocks differ? no pose is known, give both the same times",
+    )
 
 
 def _read_pairs(path: Path, stamps: np.ndarray, units: float) -> tuple[PairEntry, ...]:

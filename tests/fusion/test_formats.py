@@ -345,6 +345,16 @@ def test_redwood_trajectory_mistakes(redwood, old, new, match):
     refused(redwood, match)
 
 
+def test_redwood_frames_without_a_pose_are_counted(redwood):
+    lines = (redwood / "trajectory.log").read_text().splitlines()
+    (redwood / "trajectory.log").write_text("\n".join(lines[5:]) + "\n")
+    recording = open_recording(redwood)
+    assert [entry.T_world_camera is None for entry in recording.entries] == [True, False, False]
+    assert recording.notes == (
+        "trajectory.log: 1 of 3 frames have no pose in it; pairs with them have no ground truth",
+    )
+
+
 def test_redwood_without_json_is_primesense_and_without_log_has_no_truth(tmp_path):
     write_redwood(tmp_path, POSES[:2], PRIMESENSE)
     (tmp_path / "camera_intrinsic.json").unlink()

@@ -129,6 +129,11 @@ def _read_trajectory(folder: Path, frame_count: int, notes: list[str]) -> dict[i
             raise RecordingError(f"{where}: frame {words[0]} has a pose already")
         numbers = [parse_numbers(words, 4, where) for where, words in rows[start + 1 : start + 5]]
         poses[int(index)] = parse_pose(numbers, where)
+    if len(poses) < frame_count:
+        notes.append(
+            f"{logs[0].name}: {frame_count - len(poses)} of {frame_count} frames have no pose in it; pairs with them "
+            "have no ground truth"
+        )
     return poses
 
 

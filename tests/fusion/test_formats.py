@@ -305,6 +305,22 @@ def test_tum_with_associations_alone(tum, name):
     np.testing.assert_allclose(recording.entries[1].T_world_camera, known.entries[1].T_world_camera, atol=1e-9)
 
 
+def test_tum_lists_most_of_whose_images_are_absent_are_said(tum):
+    """It was passed over how little of a recording is there."""
+    for kind in ("rgb", "depth"):
+        rows = "".join(f"{200 + i}.000000 {kind}/{200 + i}.png\n" for i in range(len(open_recording(tum).entries) + 1))
+        with (tum / f"{kind}.txt").open("a") as file:
+            file.write(rows)
+        count = rows.count("\n")
+    said = "of its {} images are not there, such as {}/200.png; frames that lack both are left out: is the copy whole?"
+    expected = tuple(f"{kind}.txt: {count} {said.format(2 * count - 1, kind)}" for kind in ("rgb", "depth"))
+    assert open_recording(tum).notes == expected
+    for kind in ("rgb", "depth"):  # just half of them
+        lines = (tum / f"{kind}.txt").read_text().splitlines()
+        (tum / f"{kind}.txt").write_text("\n".join(lines[:-1]) + "\n")
+    assert open_recording(tum).notes == ()
+
+
 def test_tum_without_any_of_its_images_names_one(tum):
     shutil.rmtree(tum / "rgb")
     shutil.rmtree(tum / "depth")

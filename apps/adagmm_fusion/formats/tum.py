@@ -42,6 +42,7 @@ DEPTH_SCALE = 5000.0
 MAX_ASSOCIATION_GAP_S = 0.02
 MAX_WITHIN_GAP = 100  # no camera is that fast; all pairs of so many would be compared
 MAX_POSE_GAP_S = 0.1
+MAX_ABSENT = 0.5  # of the images that a list names
 LISTS = ("rgb.txt", "depth.txt")
 ASSOCIATIONS = ("associations.txt", "associate.txt", "association.txt")
 # The benchmark's calibrations of the colour cameras, which the depth is registered to.
@@ -69,12 +70,14 @@ def read(folder: Path, options: ReadOptions) -> Recording:
     listed = _associations_file(folder)
     if listed is not None and not all(is_given(folder / name) for name in LISTS):
         associations, depth_units = _read_associations(folder, listed, ())
+        named = {listed.name: [path for _, *paths in associations for path in paths]}
     else:
         (colors, _), (depths, depth_units) = _read_stamps(folder, "rgb.txt"), _read_stamps(folder, "depth.txt")
         if listed is None:
             associations = _associate(folder, colors, depths)
         else:
             associations, _ = _read_associations(folder, listed, depths)
+        named = {name: [path for _, path in images] for name, images in zip(LISTS, (colors, depths), strict=True)}
     present = [a for a in associations if a[2].exists() or a[1].exists()]
     if not present:
         first = f", such as {associations[0][1].relative_to(folder)}" if associations else ""
@@ -100,7 +103,9 @@ def read(folder: Path, options: ReadOptions) -> Recording:
         pairs = _read_pairs(folder / "pairs.txt", stamps, depth_units)
     else:
         pairs = sequential_pairs(len(entries), options.step)
-    return Recording(folder.name, folder, NAME, entries, pairs, notes=(*camera_notes, *time_notes))
+    return Recording(
+        folder.name, folder, NAME, entries, pairs, notes=(*camera_notes, *time_notes, *_absent(folder, named))
+    )
 
 
 def _read_stamps(folder: Path, name: str) -> tuple[list[tuple[float, Path]], float]:
@@ -114,6 +119,19 @@ def _read_stamps(folder: Path, name: str) -> tuple[list[tuple[float, Path]], flo
         raise RecordingError(f"{folder / name}: lists no image")
     units = units_per_second(stamp for stamp, _ in listed)
     return sorted((stamp / units, path) for stamp, path in listed), units
+
+
+def _absent(folder: Path, named: dict[str, list[Path]]) -> list[str]:
+    """What to say of lists most of whose images are not there; a few may be left out of any copy."""
+    notes = []
+    for name, paths in named.items():
+        absent = [path for path in paths if not path.exists()]
+        if len(absent) > MAX_ABSENT * len(paths):
+            notes.append(
+                f"{name}: {len(absent)} of its {len(paths)} images are not there, such as "
+                f"{absent[0].relative_to(folder)}; frames that lack both are left out: is the copy whole?"
+            )
+    return notes
 
 
 def _associations_file(folder: Path) -> Path | None:

@@ -1,10 +1,13 @@
 """Sensors that are mirrored, shifted, in a wrong unit or deliver disparity are named, and sound ones are left alone."""
 
 import re
+import shutil
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
+from depth_scene import write_redwood
 from shared_data import ROOT, shared_data
 
 from adagmm_fusion.cli import main
@@ -15,6 +18,7 @@ from adagmm_fusion.frames.depth_checks import (
     nearer_than_cameras_see,
     unit_mistake,
 )
+from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.pairs.mirrored import agreeing_matches, looks_mirrored
 from adagmm_fusion.pairs.plausibility import recording_warnings, sensor_warnings
 from adagmm_fusion.recordings.frame_sequence import FrameEntry, PairEntry, Recording
@@ -171,6 +175,30 @@ def test_ways_between_known_poses_that_are_all_too_long_or_short(shipped, times)
     found = re.match(r"the ways between the known poses look ([0-9.]+) times too (short|long): put right, ", warning)
     assert found is not None and found[2] == ("short" if times < 1.0 else "long")
     assert float(found[1]) == pytest.approx(max(times, 1.0 / times), rel=0.06)
+
+
+def test_depth_files_that_are_the_same_are_named(tmp_path):
+    write_redwood(tmp_path, [np.eye(4)] * 4, PinholeIntrinsics(64, 48, 60.0, 60.0, 31.5, 23.5))
+    depths = sorted((tmp_path / "depth").iterdir())
+    for i, path in enumerate(depths):
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        image[0, 0] += i
+        cv2.imwrite(str(path), image)
+    recording = open_recording(tmp_path)
+    assert not any("depth files" in text for text in recording_warnings(recording))
+    for path in depths[2:]:
+        shutil.copyfile(depths[1], path)
+    (warning,) = [text for text in recording_warnings(recording) if "depth files" in text]
+    assert warning == (
+        "camera: the depth files of 00001 and 00002 are the same, byte for byte: a camera that hung, copied files or "
+        "nothing measured? leave out what is no frame of its own"
+    )
+    changed_bytes = bytearray(depths[1].read_bytes())
+    changed_bytes[-1] ^= 1
+    for path in depths[2:]:  # of one size, and one that is not there
+        path.unlink()
+    depths[2].write_bytes(changed_bytes)
+    assert not any("depth files" in text for text in recording_warnings(recording))
 
 
 def test_disparity_is_no_depth(frames):

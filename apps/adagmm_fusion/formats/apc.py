@@ -47,7 +47,7 @@ def read(folder: Path, options: ReadOptions) -> Recording:
         name = path.name.removesuffix(".depth.png")
         color, depth = (inside(folder, f"{name}.{kind}.png", str(folder)) for kind in ("color", "depth"))
         load = partial(load_frame, name, SENSOR, color, depth, intrinsics, depth_scale, fix_depth=_rotate_bits_back)
-        entries.append(FrameEntry(name, SENSOR, load, poses.get(name)))
+        entries.append(FrameEntry(name, SENSOR, load, poses.get(name), depth_file=depth))
     return Recording(folder.name, folder, NAME, tuple(entries), sequential_pairs(len(entries), options.step))
 
 

@@ -57,7 +57,8 @@ def recording_of_frames(
     for frame in frames:
         calibration = _calibration(frame, sensor, options, folder)
         load = partial(load_listed_frame, frame, sensor, *calibration)
-        entries.append(FrameEntry(frame.name, sensor, load, frame.T_world_camera, frame.timestamp))
+        file = frame.depth if isinstance(frame.depth, Path) else None
+        entries.append(FrameEntry(frame.name, sensor, load, frame.T_world_camera, frame.timestamp, file))
     pairs = sequential_pairs(len(entries), options.step)
     name = folder.name if folder.is_dir() else folder.stem
     return Recording(name, folder, format, tuple(entries), pairs, notes=tuple(notes))

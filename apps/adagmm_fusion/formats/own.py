@@ -71,7 +71,8 @@ def read(folder: Path, options: ReadOptions) -> Recording:
             if T_world_rig is not None and sensor.T_rig_sensor is not None:
                 T_world_sensor = T_world_rig @ sensor.T_rig_sensor
             load = partial(_load, folder, name, sensor, timestamps.get(sensor.name))
-            entries.append(FrameEntry(name, sensor.name, load, T_world_sensor, timestamps.get(sensor.name)))
+            file = folder / sensor.name / "depth" / f"{name}.png"  # or another, which is sought when it is loaded
+            entries.append(FrameEntry(name, sensor.name, load, T_world_sensor, timestamps.get(sensor.name), file))
     if "pairs" in keys:
         pairs = _read_pairs(keys["pairs"], entries)
     else:

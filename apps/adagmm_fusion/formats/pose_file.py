@@ -54,7 +54,11 @@ def read(folder: Path, options: ReadOptions) -> Recording:
     intrinsics, depth_scale = options.calibration(SENSOR, own, DEPTH_SCALE, folder)
     entries = tuple(
         FrameEntry(
-            depth.stem, SENSOR, partial(load_frame, depth.stem, SENSOR, color, depth, intrinsics, depth_scale), pose
+            depth.stem,
+            SENSOR,
+            partial(load_frame, depth.stem, SENSOR, color, depth, intrinsics, depth_scale),
+            pose,
+            depth_file=depth,
         )
         for _, color, depth, pose in present
     )

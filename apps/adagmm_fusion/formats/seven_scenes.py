@@ -51,7 +51,7 @@ def read(folder: Path, options: ReadOptions) -> Recording:
         color = next((path for path in colors if path.exists()), colors[0])
         depth = inside(folder, f"{name}.depth.png", str(folder))
         load = partial(load_frame, name, SENSOR, color, depth, intrinsics, depth_scale, fix_depth=_without_invalid)
-        entries.append(FrameEntry(name, SENSOR, load, _read_pose(path)))
+        entries.append(FrameEntry(name, SENSOR, load, _read_pose(path), depth_file=depth))
     pairs = sequential_pairs(len(entries), options.step)
     return Recording(folder.name, folder, NAME, tuple(entries), pairs, notes=notes)
 

@@ -96,6 +96,7 @@ def read(folder: Path, options: ReadOptions) -> Recording:
             partial(load_frame, depth.stem, SENSOR, color, depth, intrinsics, depth_scale, stamp),
             pose,
             stamp,
+            depth,
         )
         for (stamp, color, depth), pose in zip(present, poses, strict=True)
     )

@@ -64,7 +64,7 @@ def read(folder: Path, options: ReadOptions) -> Recording:
             color = inside(folder, str(relative / f"rgb_image{sensor}_{moment}.png"), where)
             depth = inside(folder, str(relative / f"depth{sensor}_{moment}.mat"), where)
             load = partial(_load, str(moment), name, color, depth, K_depth, T_color_depth, intrinsics, depth_scale)
-            entries.append(FrameEntry(str(moment), name, load, poses[sensor]))
+            entries.append(FrameEntry(str(moment), name, load, poses[sensor], depth_file=depth))
     first = range(0, len(entries), len(sensors))
     pairs = tuple(PairEntry(i + other, i) for i in first for other in range(1, len(sensors)))
     return Recording(folder.name, folder, NAME, tuple(entries), pairs)

@@ -1,7 +1,10 @@
 """What looks wrong in a recording before anything is registered: a line for each, with the likely cause."""
 
+import filecmp
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
@@ -16,7 +19,7 @@ from adagmm_fusion.frames.depth_checks import (
 from adagmm_fusion.frames.pose_readings import agreeing_share, clearly_better, sampled_points
 from adagmm_fusion.frames.rgbd import RGBDFrame, RGBDPair
 from adagmm_fusion.pairs.mirrored import looks_mirrored
-from adagmm_fusion.recordings.frame_sequence import Recording
+from adagmm_fusion.recordings.frame_sequence import FrameEntry, Recording
 from adagmm_fusion.rigs.extrinsics import extrinsics_notes
 from adagmm_o3d.errors import AdaGMMError
 
@@ -39,6 +42,8 @@ def recording_warnings(recording: Recording) -> tuple[str, ...]:
         warnings += [f"{sensor}: {text}" for text in found]
         if not any(text.startswith(DEPTH_LOOKS) for text in found) and (text := _near_warning(frames)) is not None:
             near.append(f"{sensor}: {text}")
+        if (text := _frozen_warning(own)) is not None:
+            warnings.append(f"{sensor}: {text}")
     pairs = list(_loaded([lambda i=i: recording[i] for i in _spread(len(recording), PAIRS)]))
     for pair in pairs:
         if pair.source.sensor != pair.target.sensor and looks_mirrored(pair.source, pair.target):
@@ -78,6 +83,26 @@ def sensor_warnings(frames: Sequence[RGBDFrame]) -> list[str]:
             f"{offset.down_px:+d} px down); register the depth to the colour"
         )
     return warnings
+
+
+def _frozen_warning(entries: Sequence[FrameEntry]) -> str | None:
+    """Whether two consecutive frames have one depth image; a camera's noise makes no two the same. Only the first two
+    are named, so that not all of many copies are read."""
+    for one, other in pairwise(entries):
+        if one.depth_file is not None and other.depth_file is not None and _same(one.depth_file, other.depth_file):
+            return (
+                f"the depth files of {one.name} and {other.name} are the same, byte for byte: a camera that hung, "
+                "copied files or nothing measured? leave out what is no frame of its own"
+            )
+    return None
+
+
+def _same(one: Path, other: Path) -> bool:
+    """Regular files of one content; read only if their sizes agree, and no further than to the first difference."""
+    try:
+        return filecmp.cmp(one, other, shallow=False)
+    except OSError:  # the frame says so when it is asked for
+        return False
 
 
 def _near_warning(frames: Sequence[RGBDFrame]) -> str | None:

@@ -13,13 +13,15 @@ from adagmm_o3d.lie import se_inverse
 
 @dataclass(frozen=True, eq=False)
 class FrameEntry:
-    """A frame that can be loaded, again and again. `T_world_camera` (4, 4) is its true pose, or None."""
+    """A frame that can be loaded, again and again. `T_world_camera` (4, 4) is its true pose, or None; `depth_file` is
+    what its depth alone is read from, where there is such a file."""
 
     name: str
     sensor: str
     load: Callable[[], RGBDFrame]
     T_world_camera: np.ndarray | None = None
     timestamp: float | None = None
+    depth_file: Path | None = None
 
 
 @dataclass(frozen=True, eq=False)

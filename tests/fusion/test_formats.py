@@ -384,8 +384,10 @@ def test_redwood_without_json_is_primesense_and_without_log_has_no_truth(tmp_pat
     refused(tmp_path, "several trajectories")
     (tmp_path / "poses.log").unlink()
     (tmp_path / "odometry.log").unlink()
-    refused(tmp_path, "not a recording of a known format")
-    assert open_recording(tmp_path, format="redwood").frames().pose(0) is None
+    hint = "--format redwood takes PrimeSense's 525 525 319.5 239.5, for a Kinect v1 or an Xtion"
+    refused(tmp_path, f"not a recording of a known format, but nearly: .* or give a rig file; {hint}$")
+    recording = open_recording(tmp_path, format="redwood")
+    assert recording.frames().pose(0) is None and recording[0].source.intrinsics == PRIMESENSE
 
 
 def test_redwood_images_of_another_size_are_not_taken_for_primesense(redwood):
@@ -477,7 +479,7 @@ def test_redwood_log_of_a_program_is_no_trajectory(redwood):
     assert recording.format == "redwood" and recording.frames().pose(0) is None
     assert recording.notes[0].startswith("capture.log: left out, it is no trajectory")
     (redwood / "camera_intrinsic.json").unlink()
-    refused(redwood, "not a recording of a known format, but nearly")
+    refused(redwood, "not a recording of a known format, but nearly: .* or give a rig file$")  # not PrimeSense's size
 
 
 def test_redwood_frames_must_have_partners(redwood):

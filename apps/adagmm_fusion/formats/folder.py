@@ -25,8 +25,9 @@ from adagmm_fusion.files.image_files import first_readable, inside, read_color, 
 from adagmm_fusion.formats.folder_cameras import FolderCameras, find_cameras
 from adagmm_fusion.formats.image_lists import ImageLists, constant_lag, find_images, pair_images
 from adagmm_fusion.formats.listed_frames import ListedFrame, recording_of_frames
-from adagmm_fusion.formats.options import ReadOptions, unpaired_notes
+from adagmm_fusion.formats.options import PRIMESENSE, ReadOptions, unpaired_notes
 from adagmm_fusion.formats.pose_lists import PoseList, find_poses
+from adagmm_fusion.formats.redwood import takes_primesense
 from adagmm_fusion.frames.depth_checks import usual_depth_scale
 from adagmm_fusion.frames.pose_readings import AS_GIVEN, READINGS, PosedPair, best_reading
 from adagmm_fusion.recordings.frame_sequence import Recording
@@ -61,10 +62,17 @@ def read(folder: Path, options: ReadOptions) -> Recording:
     color, of_depth = found.color, found.depth
     notes += found.notes
     if color is None and options.rig is None:
+        k = PRIMESENSE
+        or_else = (
+            f"; --format redwood takes PrimeSense's {k.fx:g} {k.fy:g} {k.cx:g} {k.cy:g}, for a Kinect v1 or an Xtion"
+            if takes_primesense(folder, depth_size)
+            else ""
+        )
         raise RecordingError(
             f"{folder}: not a recording of a known format, but nearly: {len(images)} frames, colour in "
             f"{_place(images[0][1], folder)}, depth in {_place(images[0][2], folder)}, and no intrinsics"
             f"{found.not_understood}; add intrinsics.json with width, height, fx, fy, cx, cy, or give a rig file"
+            f"{or_else}"
         )
     said = found.depth_scale
     depth_scale = said or usual

@@ -81,6 +81,14 @@ def read(folder: Path, options: ReadOptions) -> Recording:
     return recording_of_frames(folder, NAME, SENSOR, frames, options, notes)
 
 
+def takes_primesense(folder: Path, size: tuple[int, int]) -> bool:
+    """Whether `read` would go by PrimeSense's intrinsics for a folder whose depth images are (width, height)."""
+    color_folder = _color_folder(folder)
+    if color_folder is None or not (folder / "depth").is_dir() or _intrinsics_path(folder) is not None:
+        return False
+    return size == (PRIMESENSE.width, PRIMESENSE.height) and _keyed(color_folder, folder) is not None
+
+
 def _color_folder(folder: Path) -> Path | None:
     return next((folder / name for name in COLOR_FOLDERS if (folder / name).is_dir()), None)
 

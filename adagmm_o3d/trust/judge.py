@@ -130,7 +130,7 @@ class Judge:
     def does_as_well(self, pose: Array, known: float, beside: float) -> bool:
         """Whether a pose has more evidence than `known`, and no less holds than at another at which so much holds.
 
-        Where neither cloud is smooth, as of a street, that is less than between the halves of one at the right pose too.
+        Where neither cloud is smooth, as of a street, that is less than between halves of one at the right pose too.
         """
         return bool(self.evidence([pose])[0] > known) and self.held(pose) >= beside - ALIKE_HELD
 

@@ -94,6 +94,14 @@ CASES = {
         Evidence("failed", "x", stage("start", by="features"), stage("end"), moved_mm=300.0, feature_inliers=40),
         "it left the pose that 40 features agree on by 300 mm",
     ),
+    "no truth, depth contradicts the features": (
+        Evidence("ok", "", stage("start", by="features"), stage("end"), feature_inliers=306, agreeing_features=1),
+        "306 image features agreed at the start, 1 at the end: colour and depth contradict each other",
+    ),
+    "no truth, the features agree": (
+        Evidence("ok", "", stage("start", by="features"), stage("end"), feature_inliers=306, agreeing_features=305),
+        "nothing speaks against it: overlap 0.80, 1% contradicted, colours correlate by 0.90",
+    ),
     "no truth, unsettled": (Evidence("failed", "x", UNKNOWN, stage("end"), converged=False), "it had not come to rest"),
     "no truth, only a reason": (Evidence("failed", "heavy noise", UNKNOWN, stage("end")), "heavy noise"),
 }

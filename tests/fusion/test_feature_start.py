@@ -8,7 +8,7 @@ from shared_data import ROOT
 
 from adagmm_fusion.frames.depth_geometry import project
 from adagmm_fusion.measurements.features import FeatureMatches
-from adagmm_fusion.pairs.feature_start import MIN_INLIERS, depth_share, feature_starts, match_features
+from adagmm_fusion.pairs.feature_start import MIN_INLIERS, depth_share, feature_starts, left_behind, match_features
 from adagmm_fusion.recordings.opening import open_recording
 from adagmm_o3d.evaluation import pose_errors
 from adagmm_o3d.lie import se_exp
@@ -80,6 +80,27 @@ def test_what_the_others_agree_on_is_asked_for_as_well(pair, starts):
 def test_a_pose_beyond_sight_or_at_other_distances_is_left_out(pair, starts, off):
     T = se_exp(off) @ starts[0].T_target_source
     assert feature_starts(seen_at(starts[0].points, pair, T), pair.target, max_depth_m=5.0) == []
+
+
+@pytest.mark.parametrize(
+    ("inliers", "agreeing", "left"),
+    [
+        (288, 1, True),
+        (274, 0, True),
+        (30, 5, True),
+        (30, 6, False),
+        (29, 0, False),  # as few may have agreed by chance
+        (63, 21, False),  # of a start on what is fixed to the camera, with a right end
+        (300, MIN_INLIERS - 1, True),
+        (300, MIN_INLIERS, False),
+        (40, 53, False),
+    ],
+)
+def test_features_are_left_behind_where_nearly_all_of_many_are(inliers, agreeing, left):
+    said = left_behind(inliers, agreeing)
+    assert (
+        said.startswith(f"{inliers} image features agreed at the start, {agreeing} at the end: ") if left else not said
+    )
 
 
 def test_depth_is_asked_only_where_there_is_enough_of_it(pair, starts):

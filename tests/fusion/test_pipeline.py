@@ -10,6 +10,7 @@ import pytest
 from shared_data import ROOT, shared_data
 
 from adagmm_fusion.frames.rgbd import RGBDPair
+from adagmm_fusion.pairs.feature_start import MIN_INLIERS
 from adagmm_fusion.pairs.pipeline import register_pair, run_pairs
 from adagmm_fusion.pairs.record import pair_record
 from adagmm_fusion.pairs.settings import Settings
@@ -143,6 +144,17 @@ def test_without_ground_truth_depth_and_colour_together_contradict(pair, outcome
     depth, colour = end.contradictions()
     assert depth.endswith("% of the source lies in front of the target's surfaces")
     assert colour.startswith("colour contradicts (correlation -")
+
+
+def test_colours_that_contradict_the_depth_are_told(pair):
+    """A frame and itself with its colours moved by 12 pixels: the features turn the camera, the depth does not."""
+    target = pair.target
+    moved = replace(target, color=np.roll(target.color, 12, axis=1))
+    record = pair_record(register_pair(RGBDPair("moved", moved, target, None, 0), FEW_POINTS), FEW_POINTS)
+    told = f"{record.feature_inliers} image features agreed at the start, {record.agreeing_features} at the end"
+    assert record.feature_inliers > 1000 and record.agreeing_features < MIN_INLIERS
+    assert record.status == "failed" and not record.trustworthy
+    assert record.warnings[-1].startswith(told) and told in record.diagnosis and told in record.reason
 
 
 def test_a_frame_without_depth_is_a_failure_with_its_reason(pair):

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from adagmm_fusion.pairs.feature_start import left_behind
 from adagmm_fusion.pairs.stages import FEATURES, Stage, worse_than_start
 
 # A start within this many times the limits of success was nearly right: what went wrong came later.
@@ -22,7 +23,7 @@ class Evidence:
 
     status, reason : as judged.    start, end : its stages, None if it could not be registered.
     max_rotation_deg, max_translation_mm : up to which a pose counts as right.
-    feature_inliers, feature_matches : of the start, where features gave it.
+    feature_inliers, feature_matches : of the start, where features gave it; agreeing_features : at the end.
     overlap_truth : share of source points with a partner at the ground truth.
     moved_mm, across : how far the source's points moved from start to end, and the share of that across the surfaces.
     ambiguous, chance_fit, converged, free_directions : what the registration says of itself.
@@ -37,6 +38,7 @@ class Evidence:
     max_translation_mm: float = 100.0
     feature_inliers: int = 0
     feature_matches: int = 0
+    agreeing_features: int | None = None
     overlap_truth: float | None = None
     moved_mm: float = 0.0
     across: float | None = None
@@ -110,6 +112,9 @@ def _without_truth(evidence: Evidence, start: Stage, end: Stage) -> str:
 def _against(evidence: Evidence, end: Stage) -> list[str]:
     """What speaks against the end, the strongest first."""
     found = end.contradictions()
+    if evidence.agreeing_features is not None:
+        left = left_behind(evidence.feature_inliers, evidence.agreeing_features)
+        found = [left, *found] if left else found
     if evidence.ambiguous:
         found.append("two poses explain the clouds equally")
     if evidence.overlap_truth is None and end.overlap < LITTLE_OVERLAP:

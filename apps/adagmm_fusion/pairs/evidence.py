@@ -28,6 +28,7 @@ def evidence_of(outcome: PairOutcome, stages: tuple[Stage, ...], settings: Setti
         max_translation_mm=settings.max_translation_error_mm,
         feature_inliers=0 if features is None else features.inliers,
         feature_matches=0 if features is None else features.matches,
+        agreeing_features=outcome.agreeing_features,
         overlap_truth=evaluation.overlap_truth,
         moved_mm=moved_mm,
         across=across,

@@ -23,6 +23,9 @@ HYPOTHESES = 3
 DEPTH_M, DEPTH_SHARE = 0.05, 0.03
 # A pose of which fewer features are at the target's depths is none; fewer than that many with depth say nothing.
 LEAST_SHARE, MIN_WITH_DEPTH = 0.6, 8
+# Of so many that agree on a start all but less than this share are left behind only where depth says otherwise: at
+# recorded right ends a third of their number agrees and more, at wrong ones of swapped depths 1 of 288.
+MANY_INLIERS, LEFT_SHARE = 30, 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +82,17 @@ def feature_starts(matches: FeatureMatches, target: RGBDFrame, *, max_depth_m: f
             found.append(start)
         left = np.delete(left, inliers)
     return found
+
+
+def left_behind(inliers: int, agreeing: int) -> str:
+    """What is to be said where `inliers` features agreed on the start, and so few with the end; else empty.
+
+    Of all matches, as those of the start may be fixed to the camera: what the others agree on is enough.
+    """
+    if inliers < MANY_INLIERS or agreeing >= min(MIN_INLIERS, LEFT_SHARE * inliers):
+        return ""
+    agreed = f"{inliers} image features agreed at the start, {agreeing} at the end"
+    return f"{agreed}: colour and depth contradict each other"
 
 
 def depth_share(features: FeatureStart, target: RGBDFrame, max_depth_m: float) -> float | None:

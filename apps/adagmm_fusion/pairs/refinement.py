@@ -12,7 +12,7 @@ from adagmm_fusion.measurements.joint_pose import Measurements
 from adagmm_fusion.measurements.residuals import LEAST
 from adagmm_fusion.measurements.surfaces import SurfaceMeasurements
 from adagmm_fusion.pairs.candidates import APART_DEG, APART_M, Winner, are_near, compete
-from adagmm_fusion.pairs.feature_start import MIN_INLIERS, FeatureStart, feature_starts, match_features
+from adagmm_fusion.pairs.feature_start import MIN_INLIERS, FeatureStart, feature_starts, left_behind, match_features
 from adagmm_fusion.pairs.partners import partner_distance
 from adagmm_fusion.pairs.settings import Settings
 from adagmm_o3d.result import Deferred, Partners, PointRegistrationResult
@@ -76,7 +76,11 @@ def refine_pair(
     effects = winner.joint.depth_effects(np.asarray(target.points))
     # One camera is off alike in both frames.
     together = effects[:, :2] + effects[:, 2:] if pair.source.sensor == pair.target.sensor else effects
-    return RefinedPair(_concluded(registered, winner, source, target, together), winner.agreeing, effects)
+    left = "" if seen.believed is None else left_behind(seen.believed.inliers, winner.agreeing)
+    estimate = _concluded(registered, winner, source, target, together)
+    if left:
+        estimate = replace(estimate, doubts=(*estimate.doubts, left))
+    return RefinedPair(estimate, winner.agreeing, effects)
 
 
 def _concluded(

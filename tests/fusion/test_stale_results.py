@@ -2,14 +2,19 @@
 
 import json
 
+import numpy as np
 import pytest
+from shared_data import ROOT
 
+from adagmm_fusion.cli import main
 from adagmm_fusion.errors import OutputError
+from adagmm_fusion.files.ply_file import ply_bytes
 from adagmm_fusion.files.stale_results import (
     JOINT_SCHEMA,
     REPORTS,
     SCHEMA,
     check_not_foreign,
+    is_marked,
     remove_files,
     remove_untouched,
     results_of_report,
@@ -98,6 +103,38 @@ def test_somebody_elses_file_is_not_replaced(tmp_path, name):
     (tmp_path / name).write_text("mine")
     with pytest.raises(OutputError, match=rf"{name}: is there already, and no earlier run has left it; move it, or"):
         check_not_foreign(tmp_path, [*REPORTS, "rig.yaml"], results_of_report(tmp_path))
+
+
+RUN, FUSE, PLY = ["run"], ["fuse"], ["fuse", "--mesh", "ply"]
+IN_PLACE = [
+    (RUN, "fused/000000_right_to_left.ply"),
+    (RUN, "fused/000002_right_to_left.glb"),
+    (RUN, "two_kinects.rrd"),
+    (FUSE, "two_kinects.rrd"),
+    (FUSE, "trajectory_left.txt"),
+    (FUSE, "mesh.glb"),
+    (PLY, "mesh.ply"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "name"), IN_PLACE)
+def test_somebody_elses_results_are_not_replaced(tmp_path, arguments, name, monkeypatch, capsys):
+    """It is said before the work."""
+    monkeypatch.setattr("adagmm_fusion.commands.run.compile_kernels", None)
+    monkeypatch.setattr("adagmm_fusion.sequence.registration.register_scene", None)
+    write_all(tmp_path, [name])
+    assert main([*arguments, str(ROOT / "recordings" / "two_kinects"), "--output", str(tmp_path)]) == 1
+    assert f"{tmp_path / name}: is there already, and no earlier run has left it" in capsys.readouterr().err
+    assert (tmp_path / name).read_text() == "x" and names(tmp_path) == {name}
+
+
+def test_what_a_killed_run_has_left_says_so_itself(tmp_path):
+    points = np.zeros((1, 3))
+    (tmp_path / "a.ply").write_bytes(ply_bytes(points, points))
+    (tmp_path / "b.ply").symlink_to(tmp_path / "a.ply")
+    (tmp_path / "a.yaml").write_bytes(ply_bytes(points, points))
+    check_not_foreign(tmp_path, ["a.ply"], ())
+    assert not is_marked(tmp_path / "b.ply") and not is_marked(tmp_path / "a.yaml")
 
 
 @pytest.mark.parametrize("schema", [SCHEMA, JOINT_SCHEMA])

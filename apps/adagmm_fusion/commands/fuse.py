@@ -82,14 +82,16 @@ def run(args: argparse.Namespace) -> int:
     """
     from adagmm_fusion.files.atomic_file import check_output_file
     from adagmm_fusion.files.output_folder import check_apart, exclusive
-    from adagmm_fusion.files.stale_results import remove_untouched, states_of
+    from adagmm_fusion.files.stale_results import check_not_foreign, is_marked, remove_untouched, states_of
     from adagmm_fusion.rerun_log import check_destination
 
     if not args.no_rerun:
         check_destination(args)
     recording = recording_of(args)
     folder = Path(args.output) if args.output else Path("output") / f"{recording.path.resolve().name}_fused"
+    own_names = [f"mesh.{args.mesh}"] if args.mesh != "obj" else []  # Open3D writes .obj, without a mark of ours
     if args.save is None and not (args.no_rerun or args.connect or args.serve or args.url or args.stdout):
+        own_names.append(f"{recording.path.resolve().name}.rrd")
         args.save = str(folder / f"{recording.path.resolve().name}.rrd")
         check_destination(args)
     check_apart(recording.path, folder, args.save)
@@ -97,8 +99,10 @@ def run(args: argparse.Namespace) -> int:
     with contextlib.redirect_stdout(sys.stderr) if args.stdout else contextlib.nullcontext(), exclusive(folder):
         for path in (folder / f"mesh.{args.mesh}", *(path for _, path in _trajectory_files(recording, folder))):
             check_output_file(path)
-        trajectories = (path.name for _, path in _trajectory_files(recording, folder))
-        earlier = states_of(folder, [*OTHER_MESHES, *trajectories])
+        trajectories = [path.name for _, path in _trajectory_files(recording, folder)]
+        check_not_foreign(folder, [*own_names, *trajectories], ())
+        others = [name for name in OTHER_MESHES if not name.endswith((".ply", ".glb")) or is_marked(folder / name)]
+        earlier = states_of(folder, [*others, *trajectories])
         _fuse(args, recording, folder)
         remove_untouched(folder, earlier)
     return 0

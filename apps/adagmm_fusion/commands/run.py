@@ -67,7 +67,11 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
     indices = selected_pairs(args.pairs, len(recording))
     folder = Path(args.output) if args.output else Path("output") / recording.path.resolve().name
     logs_to_file = not (args.no_rerun or args.connect or args.serve or args.url or args.stdout)
+    own_names = [*REPORTS, "rig.yaml"]
+    if not args.no_clouds:
+        own_names += [f"fused/{recording.pair_name(index)}.{kind}" for index in indices for kind in ("ply", "glb")]
     if logs_to_file and args.save is None:
+        own_names.append(f"{recording.path.resolve().name}.rrd")
         args.save = str(folder / f"{recording.path.resolve().name}.rrd")
     check_destination(args)
     check_apart(recording.path, folder, args.save)
@@ -83,7 +87,7 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
         for name in (*REPORTS, "rig.yaml"):
             check_output_file(folder / name)
         earlier = states_of(folder, results_of_report(folder))
-        check_not_foreign(folder, (*REPORTS, "rig.yaml"), earlier)
+        check_not_foreign(folder, own_names, earlier)
         viewing = stack.enter_context(contextlib.ExitStack())
         viewer = None if args.no_rerun else viewing.enter_context(_viewer(args, recording, settings, len(indices)))
         display = stack.enter_context(progress())

@@ -26,7 +26,7 @@ def ply_bytes(
     given = {"vertices": vertices, "normals": normals, "colors": np.floor(255.0 * np.clip(colors, 0.0, 1.0) + 0.5)}
     given = {name: values for name, values in given.items() if values is not None}
     rows = np.empty(len(vertices), [(name, FIELDS[name][1], 3) for name in given])
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
+    header = ["ply", "format binary_little_endian 1.0", "comment adagmm-fusion", f"element vertex {len(vertices)}"]
     for name, values in given.items():
         rows[name] = values
         header += [f"property {FIELDS[name][2]} {axis}" for axis in FIELDS[name][0]]

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import stat
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
@@ -16,6 +17,14 @@ RESULT = re.compile(r"(fused/[^/\\]+\.(ply|glb)|rig\.yaml|[^/\\]+\.rrd)")
 REPORTS = ("report.json", "report.md")
 # What reports of this program call themselves: of one recording, and of several.
 SCHEMA, JOINT_SCHEMA = "adagmm-fusion-report", "adagmm-fusion-joint-report"
+# By what its first bytes hold, a file is known for one of ours, though a run was killed before it wrote its report.
+MARKS = {
+    ".ply": b"\ncomment adagmm-fusion\n",
+    ".glb": b'"generator": "adagmm-fusion"',
+    ".rrd": b"adagmm_fusion",
+    ".txt": b"# timestamp tx ty tz qx qy qz qw, camera to world, metres\n",
+}
+MARKED_WITHIN = 256
 
 
 def results_of_report(folder: Path) -> list[str]:
@@ -34,10 +43,22 @@ def results_of_report(folder: Path) -> list[str]:
 def check_not_foreign(folder: Path, names: Iterable[str], of_earlier: Collection[str]) -> None:
     """Before the work: raise OutputError where a file that is to be written is there and is not of an earlier run."""
     for name in names:
-        if name not in of_earlier and os.path.lexists(folder / name):
+        if name not in of_earlier and os.path.lexists(folder / name) and not is_marked(folder / name):
             raise OutputError(
                 f"{folder / name}: is there already, and no earlier run has left it; move it, or give another --output"
             )
+
+
+def is_marked(path: Path) -> bool:
+    """Whether a file says itself that this program has written it, as clouds, meshes, ways and Rerun recordings do."""
+    mark = MARKS.get(path.suffix)
+    try:
+        if mark is None or not stat.S_ISREG(path.lstat().st_mode):
+            return False
+        with path.open("rb") as file:
+            return mark in file.read(MARKED_WITHIN)
+    except OSError:
+        return False
 
 
 def states_of(folder: Path, names: Iterable[str]) -> dict[str, tuple[int, int] | None]:

@@ -105,7 +105,8 @@ def test_an_interrupted_run_goes_on_where_it_was(walk, tmp_path, monkeypatch, ca
     monkeypatch.setattr(edges_module, "register_pair", interrupted)
     assert fuse(walk, tmp_path) == 130
     monkeypatch.setattr(edges_module, "register_pair", noted)
-    capsys.readouterr()
+    kept = f"kept: 2 registrations in {tmp_path / 'registrations.jsonl'}; the same command goes on\n"
+    assert capsys.readouterr().out.endswith(kept)
     assert fuse(walk, tmp_path) == 0
     assert capsys.readouterr().out.startswith("resumed: 2 registrations are there\n")
     assert len(registered) == len(set(registered)) >= 4  # none twice

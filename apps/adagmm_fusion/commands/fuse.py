@@ -199,7 +199,12 @@ def _estimated(recording: Recording, scene: Any, settings: Any, folder: Path) ->
         file = EdgeFile(folder / "registrations.jsonl", of, len(entries))
         if file.edges:
             print(f"resumed: {len(file.edges)} registrations are there")
-        register_scene(recording, scene, settings, file, report)
+        try:
+            register_scene(recording, scene, settings, file, report)
+        except KeyboardInterrupt:
+            with contextlib.suppress(OSError):  # whoever has hung up reads no more of it
+                print(printable(f"kept: {len(file.edges)} registrations in {file.path}; the same command goes on"))
+            raise
     placed = placed_edges(scene, file.edges)
     edges = joined(placed, scene.places) if scene.paths else placed
     sets = connected_sets(edges, scene.places)

@@ -1,5 +1,5 @@
-"""A few values in place of many: a random sample, the same one every time; the distinct places; and quantiles, each of
-which is one of the values."""
+"""A few values in place of many: a random sample, the same one every time; the distinct places, and what is not alike;
+and quantiles, each of which is one of the values."""
 
 from __future__ import annotations
 
@@ -23,6 +23,15 @@ def distinct_places(points: Array) -> NDArray[np.intp]:
     another = np.full(len(points), True)
     another[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
     return order[another]
+
+
+def first_of_alike(alike: NDArray[np.bool_]) -> list[int]:
+    """Indices of those that are not alike any that was taken before them; `alike` (n, n) says which two are."""
+    taken: list[int] = []
+    for k in range(len(alike)):
+        if not alike[k, taken].any():
+            taken.append(k)
+    return taken
 
 
 def quantile(values: Array, share: float) -> Array:

@@ -83,17 +83,22 @@ def check_count(name: str, usable: NDArray[np.bool_]) -> None:
 def far_points(p: Array) -> NDArray[np.bool_]:
     """(n,) which of (n, D) points lie so far beyond all others that the scale of the cloud would be theirs."""
     n = len(p)
-    if n < FEW_POINTS or not (np.abs(p) <= LARGEST_COORDINATE).all():
+    low, high = p.min(axis=0, initial=math.inf), p.max(axis=0, initial=-math.inf)
+    if n < FEW_POINTS or max(-low.min(), high.max()) > LARGEST_COORDINATE:
         return np.zeros(n, bool)
-    sample = p[some_of(np.arange(n), BULK_SAMPLE)]
-    middle = quantile(sample, 0.5)
-    bulk = float(quantile(((sample - middle) ** 2).sum(axis=1), BULK))
-    largest = np.maximum(p.max(axis=0) - middle, middle - p.min(axis=0))
+    middle, bulk = bulk_of(p[some_of(np.arange(n), BULK_SAMPLE)])
+    largest = np.maximum(high - middle, middle - low)
     if bulk == 0.0 or float(largest @ largest) <= FAR**2 * bulk:
         return np.zeros(n, bool)
     squares = ((p - middle) ** 2).sum(axis=1)
     far: NDArray[np.bool_] = squares > FAR**2 * bulk
     return far if squares.mean() > SPREAD**2 * bulk else np.zeros(n, bool)
+
+
+def bulk_of(p: Array) -> tuple[Array, float]:
+    """(D,) median of (n, D) points, and the squared distance from it within which BULK of them lie."""
+    middle = quantile(p, 0.5)
+    return middle, float(quantile(((p - middle) ** 2).sum(axis=1), BULK))
 
 
 def check_spread(name: str, p: Array) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.errors import InputError
-from adagmm_o3d.mixtures.checks import check_ratios
+from adagmm_o3d.mixtures.checks import BULK, BULK_SAMPLE, bulk_of, check_ratios
 from adagmm_o3d.mixtures.mixture import Mixture
 from adagmm_o3d.sampling import quantile, some_of
 
@@ -22,10 +22,8 @@ UNIT_DIGITS = 12
 VAGUE = 100.0
 # What the kernels' float32 can tell apart: variances relative to the unit.
 VARIANCE_RANGE = (1e-6, 1e12)
-# A cloud is more than a dot when this share of it does not lie within this many radii of its median.
-MAIN_SHARE, FINEST = 0.9, 1e-3
-# The median and the share are found on a sample of at most this many points.
-MAIN_SHARE_SAMPLE = 20_000
+# A cloud is more than a dot when its bulk does not lie within this many radii of its median.
+FINEST = 1e-3
 # Clouds this many radii apart do not see each other, and float32 has no digits for more.
 FARTHEST = 1e4
 
@@ -110,15 +108,15 @@ def _certain(relative: Array) -> NDArray[np.bool_]:
 
 
 def _some_points(mixture: Mixture, index: NDArray[np.intp]) -> Array:
-    """The points at `index`, a sample of them where there are more than MAIN_SHARE_SAMPLE."""
-    return mixture.points_at(some_of(index, MAIN_SHARE_SAMPLE))
+    """The points at `index`, a sample of them where there are more than BULK_SAMPLE."""
+    return mixture.points_at(some_of(index, BULK_SAMPLE))
 
 
 def _check_resolution(name: str, points: Array, scale: float) -> None:
     """Raise where a few points far away, or the other cloud, make a dot of a cloud's bulk."""
-    bulk = math.sqrt(quantile(((points - quantile(points, 0.5)) ** 2).sum(axis=1), MAIN_SHARE))
+    bulk = math.sqrt(bulk_of(points)[1])
     if bulk < FINEST * scale:
         raise InputError(
-            f"{name}.points: {MAIN_SHARE:.0%} lie within {bulk:.3g} of their median, but the radius of the clouds is "
+            f"{name}.points: {BULK:.0%} lie within {bulk:.3g} of their median, but the radius of the clouds is "
             f"{scale:.3g}; check the units, remove far points or mark_outliers()"
         )

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from adagmm_o3d.arguments import Array
-from adagmm_o3d.sampling import some_of
+from adagmm_o3d.sampling import first_of_alike, some_of
 from adagmm_o3d.search.features import Alike, Thinned, nearest_rotations
 from adagmm_o3d.trust.laying import Facing, facing, facing_alike, laid_poses
 
@@ -84,8 +84,4 @@ def _rotations(own: list[Array], other: list[Array]) -> Array:
     moments = np.einsum("ri,rj->rij", c, a) + np.einsum("ri,rj->rij", d, b)
     rotations = nearest_rotations(moments + np.einsum("ri,rj->rij", np.cross(c, d), np.cross(a, b)))
     same = np.einsum("iab,jab->ij", rotations, rotations) > 1.0 + 2.0 * math.cos(SAME_ROTATION)
-    kept: list[int] = []
-    for i in range(len(rotations)):
-        if not same[i, kept].any():
-            kept.append(i)
-    return rotations[kept]
+    return rotations[first_of_alike(same)]

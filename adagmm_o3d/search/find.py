@@ -16,6 +16,7 @@ import numpy as np
 
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.runs import End, Start, distinct, pose_distance
+from adagmm_o3d.sampling import first_of_alike
 from adagmm_o3d.search import starts
 from adagmm_o3d.search.around import first_end, is_tight, search_around
 from adagmm_o3d.search.directions import direction_poses
@@ -189,12 +190,7 @@ def _apart(poses: list[Array], distance: float) -> list[Array]:
     if not poses:
         return []
     everything = np.array(poses)
-    near = pose_distance(everything[:, None], everything) <= distance
-    kept: list[int] = []
-    for k in range(len(poses)):
-        if not near[k, kept].any():
-            kept.append(k)
-    return [poses[k] for k in kept]
+    return [poses[k] for k in first_of_alike(pose_distance(everything[:, None], everything) <= distance)]
 
 
 def _proposed(levels: Levels, poses: list[Array]) -> list[End]:

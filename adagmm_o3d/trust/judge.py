@@ -123,16 +123,17 @@ class Judge:
         that are too few for a surface."""
         return 1.0 if self.too_few else agreement(*self.surfaces, pose).held
 
-    def may_be_right(self, pose: Array, known: float, beside: float) -> bool:
-        """Whether a pose has more evidence than `known`, and holds beside another at which so much holds."""
-        return bool(self.evidence([pose])[0] > known) and holds(self.held(pose), beside)
+    def may_be_right(self, pose: Array, known: float, beside: float, as_right: float = math.inf) -> bool:
+        """Whether a pose has more evidence than `known`, and holds beside another at which so much holds; or with more
+        than `as_right`, which is no less, whether as much holds as there.
 
-    def does_as_well(self, pose: Array, known: float, beside: float) -> bool:
-        """Whether a pose has more evidence than `known`, and no less holds than at another at which so much holds.
-
-        Where neither cloud is smooth, as of a street, that is less than between halves of one at the right pose too.
+        Where neither cloud is smooth, as of a street, less than between the halves of one holds at the right pose too.
         """
-        return bool(self.evidence([pose])[0] > known) and self.held(pose) >= beside - ALIKE_HELD
+        evidence = float(self.evidence([pose])[0])
+        if not evidence > known:
+            return False
+        held = self.held(pose)
+        return holds(held, beside) or (evidence > as_right and held >= beside - ALIKE_HELD)
 
     def confidence(self, pose: Array, coarser: float = LENIENT) -> float:
         """The same of one pose as the halves of a cloud are asked, at a scale so many times coarser: by default one at

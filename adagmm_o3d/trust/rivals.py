@@ -56,8 +56,7 @@ def margin_over_turned(judge: Judge, pose: Array, held: float) -> float:
     own = float(judge.evidence([pose])[0])
     known = judge.known(own)
     least = of_rival(known, own)
-    rivals = (judge.may_be_right(end, least, held) or judge.does_as_well(end, known, held) for end in ends)
-    return min(margin, 0.0) if any(rivals) else margin
+    return min(margin, 0.0) if any(judge.may_be_right(end, least, held, known) for end in ends) else margin
 
 
 def refined(sides: tuple[MergedMixture, MergedMixture], poses: list[Array], stage: int, sigma: float) -> list[Array]:

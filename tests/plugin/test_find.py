@@ -414,7 +414,7 @@ def test_a_room_turned_by_half_a_turn_leaves_no_margin_though_it_explains_much_m
 def test_what_holds_no_less_does_as_well_though_neither_holds_as_the_halves_of_a_cloud_do(evidence, held, does):
     """As the right pose of street scans beside one half a turn off, at which 0.83 holds."""
     judge = SimpleNamespace(evidence=lambda poses: np.array([evidence]), held=lambda pose: held)
-    assert Judge.does_as_well(judge, np.eye(4), 2.65, 0.825) is does
+    assert Judge.may_be_right(judge, np.eye(4), 0.9, 0.825, 2.65) is does
 
 
 def test_of_the_same_points_no_other_pose_may_be_right():

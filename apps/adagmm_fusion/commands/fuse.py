@@ -91,8 +91,8 @@ def run(args: argparse.Namespace) -> int:
     folder = Path(args.output) if args.output else Path("output") / f"{recording.path.resolve().name}_fused"
     own_names = [f"mesh.{args.mesh}"] if args.mesh != "obj" else []  # Open3D writes .obj, without a mark of ours
     if args.save is None and not (args.no_rerun or args.connect or args.serve or args.url or args.stdout):
-        own_names.append(f"{recording.path.resolve().name}.rrd")
         args.save = str(folder / f"{recording.path.resolve().name}.rrd")
+        own_names.append(Path(args.save).name)
         check_destination(args)
     check_apart(recording.path, folder, args.save)
     # With --stdout the Rerun recording goes there, and what is said to stderr.

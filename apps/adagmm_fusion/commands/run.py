@@ -71,8 +71,8 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
     if not args.no_clouds:
         own_names += [f"fused/{recording.pair_name(index)}.{kind}" for index in indices for kind in ("ply", "glb")]
     if logs_to_file and args.save is None:
-        own_names.append(f"{recording.path.resolve().name}.rrd")
         args.save = str(folder / f"{recording.path.resolve().name}.rrd")
+        own_names.append(Path(args.save).name)
     check_destination(args)
     check_apart(recording.path, folder, args.save)
 

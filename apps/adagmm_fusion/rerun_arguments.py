@@ -18,3 +18,8 @@ def add_rerun_arguments(parser: argparse.ArgumentParser) -> None:
         "--stdout", action="store_true", help="Log data to standard output, to be piped into a Rerun Viewer"
     )
     parser.add_argument("--port", type=int, default=None, help="With --serve: the gRPC port (default: a free one)")
+
+
+def logs_to_file(args: argparse.Namespace) -> bool:
+    """Whether these arguments, and `--no-rerun`, leave it to a file to take what is logged."""
+    return not (args.no_rerun or args.connect or args.serve or args.url or args.stdout)

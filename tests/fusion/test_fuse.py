@@ -4,6 +4,7 @@ import json
 import struct
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import open3d as o3d
@@ -17,6 +18,7 @@ import adagmm_fusion.sequence.edges as edges_module
 import adagmm_fusion.sequence.registration as registration
 from adagmm_fusion.cli import main
 from adagmm_fusion.errors import OutputError, RecordingError
+from adagmm_fusion.files.stale_results import MARKS
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame, RGBDPair
 from adagmm_fusion.meshes.glb_file import colored_glb
 from adagmm_fusion.meshes.orientation import upright
@@ -407,9 +409,14 @@ def test_a_real_walk(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_what_became_of_the_frames_is_saved_by_default(walk, tmp_path):
-    (tmp_path / "mesh.obj").write_text("of an earlier run")
+    ours = ("mesh.obj", "mesh.mtl")
+    for name in ours:
+        (tmp_path / name).write_bytes(MARKS[Path(name).suffix])
+    (tmp_path / "mesh_0.png").write_text("of the same run")
+    (tmp_path / "mesh.glb").write_text("somebody else's")
     assert fuse(walk, tmp_path) == 0
-    assert not (tmp_path / "mesh.obj").exists()
+    assert not [name for name in (*ours, "mesh_0.png") if (tmp_path / name).exists()]
+    assert (tmp_path / "mesh.glb").exists()
     reader = RrdReader(tmp_path / f"{walk.name}.rrd")
     logged = {str(column) for column in reader.store().schema().component_columns()}
     for entity in ("world/camera/image/rgb", "world/loops/kept", "log10/translation_error_mm", "report", "guide"):

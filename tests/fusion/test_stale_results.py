@@ -105,7 +105,7 @@ def test_somebody_elses_file_is_not_replaced(tmp_path, name):
         check_not_foreign(tmp_path, [*REPORTS, "rig.yaml"], results_of_report(tmp_path))
 
 
-RUN, FUSE, PLY = ["run"], ["fuse"], ["fuse", "--mesh", "ply"]
+RUN, FUSE, PLY, OBJ = ["run"], ["fuse"], ["fuse", "--mesh", "ply"], ["fuse", "--mesh", "obj"]
 IN_PLACE = [
     (RUN, "fused/000000_right_to_left.ply"),
     (RUN, "fused/000002_right_to_left.glb"),
@@ -114,6 +114,9 @@ IN_PLACE = [
     (FUSE, "trajectory_left.txt"),
     (FUSE, "mesh.glb"),
     (PLY, "mesh.ply"),
+    (OBJ, "mesh.obj"),
+    (OBJ, "mesh.mtl"),
+    (OBJ, "mesh_0.png"),
 ]
 
 
@@ -126,6 +129,18 @@ def test_somebody_elses_results_are_not_replaced(tmp_path, arguments, name, monk
     assert main([*arguments, str(ROOT / "recordings" / "two_kinects"), "--output", str(tmp_path)]) == 1
     assert f"{tmp_path / name}: is there already, and no earlier run has left it" in capsys.readouterr().err
     assert (tmp_path / name).read_text() == "x" and names(tmp_path) == {name}
+
+
+def test_somebody_elses_recording_of_all_is_not_replaced(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("adagmm_fusion.commands.run_many.run_tasks", None)
+    many, out = tmp_path / "many", tmp_path / "out"
+    many.mkdir()
+    for name in ("a", "b"):
+        (many / name).symlink_to(ROOT / "recordings" / "two_kinects")
+    write_all(out, ["out.rrd"])
+    assert main(["run", str(many), "--output", str(out)]) == 1
+    assert f"{out / 'out.rrd'}: is there already, and no earlier run has left it" in capsys.readouterr().err
+    assert names(out) == {"out.rrd"}
 
 
 def test_what_a_killed_run_has_left_says_so_itself(tmp_path):

@@ -13,6 +13,7 @@ from scipy.ndimage import map_coordinates
 
 import adagmm_fusion.meshes.texturing as texturing_module
 from adagmm_fusion.errors import OutputError
+from adagmm_fusion.files.stale_results import is_marked
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics, RGBDFrame
 from adagmm_fusion.meshes.exposure import exposure_gains, matched_exposures
 from adagmm_fusion.meshes.joined_grids import joined_surface, textured_moment
@@ -158,6 +159,7 @@ def test_obj_reads_back_with_its_texture(moment, tmp_path):
     paths = save_textured_mesh(tmp_path / "new" / "m.obj", moment)
     assert {path.suffix for path in paths} == {".obj", ".mtl", ".png"} and paths[-1].suffix == ".obj"
     assert set(paths) == set((tmp_path / "new").iterdir())
+    assert [is_marked(path) for path in paths] == [True, False, True]
     read = o3d.io.read_triangle_mesh(str(paths[-1]), enable_post_processing=False)
     points = upright(np.asarray(read.vertices)[np.asarray(read.triangles)].mean(axis=1))
     uvs = np.asarray(read.triangle_uvs).reshape(-1, 3, 2).mean(axis=1)

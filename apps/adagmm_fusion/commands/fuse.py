@@ -10,10 +10,13 @@ from typing import Any
 from adagmm_fusion.commands.recording_arguments import add_recording_arguments, print_notes, recording_of
 from adagmm_fusion.processes.terminal import printable
 from adagmm_fusion.recordings.frame_sequence import Recording
+from adagmm_fusion.rerun_arguments import logs_to_file
 
 MESHES = ("ply", "glb", "obj")
 # What another run may have left under the name of the mesh.
-OTHER_MESHES = ("mesh.ply", "mesh.glb", "mesh.obj", "mesh.mtl", "mesh_0.png")
+OTHER_MESHES = ("mesh.ply", "mesh.glb", "mesh.obj", "mesh.mtl")
+# The image of an .obj file, ours where its .mtl file is.
+TEXTURE, OF_TEXTURE = "mesh_0.png", "mesh.mtl"
 # The code and the libraries that a registration between two frames comes from.
 REGISTERED_BY = (
     "adagmm_o3d",
@@ -89,8 +92,8 @@ def run(args: argparse.Namespace) -> int:
         check_destination(args)
     recording = recording_of(args)
     folder = Path(args.output) if args.output else Path("output") / f"{recording.path.resolve().name}_fused"
-    own_names = [f"mesh.{args.mesh}"] if args.mesh != "obj" else []  # Open3D writes .obj, without a mark of ours
-    if args.save is None and not (args.no_rerun or args.connect or args.serve or args.url or args.stdout):
+    own_names = [f"mesh.{args.mesh}"]
+    if logs_to_file(args) and args.save is None:
         args.save = str(folder / f"{recording.path.resolve().name}.rrd")
         own_names.append(Path(args.save).name)
         check_destination(args)
@@ -100,8 +103,12 @@ def run(args: argparse.Namespace) -> int:
         for path in (folder / f"mesh.{args.mesh}", *(path for _, path in _trajectory_files(recording, folder))):
             check_output_file(path)
         trajectories = [path.name for _, path in _trajectory_files(recording, folder)]
-        check_not_foreign(folder, [*own_names, *trajectories], ())
-        others = [name for name in OTHER_MESHES if not name.endswith((".ply", ".glb")) or is_marked(folder / name)]
+        others = [name for name in OTHER_MESHES if is_marked(folder / name)]
+        if OF_TEXTURE in others:
+            others.append(TEXTURE)
+        if args.mesh == "obj":
+            own_names += [OF_TEXTURE, TEXTURE]
+        check_not_foreign(folder, [*own_names, *trajectories], others)
         earlier = states_of(folder, [*others, *trajectories])
         _fuse(args, recording, folder)
         remove_untouched(folder, earlier)

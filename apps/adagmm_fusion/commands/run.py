@@ -33,6 +33,7 @@ from adagmm_fusion.processes.interruption import exit_code
 from adagmm_fusion.processes.terminal import printable, table_console
 from adagmm_fusion.recordings.frame_sequence import Recording
 from adagmm_fusion.recordings.opening import open_recording
+from adagmm_fusion.rerun_arguments import logs_to_file
 from adagmm_fusion.rerun_log import (
     Limits,
     Progress,
@@ -66,11 +67,10 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
     recording = open_recording(args.recording, format=args.format, rig=args.calibration, step=args.step)
     indices = selected_pairs(args.pairs, len(recording))
     folder = Path(args.output) if args.output else Path("output") / recording.path.resolve().name
-    logs_to_file = not (args.no_rerun or args.connect or args.serve or args.url or args.stdout)
     own_names = [*REPORTS, "rig.yaml"]
     if not args.no_clouds:
         own_names += [f"fused/{recording.pair_name(index)}.{kind}" for index in indices for kind in ("ply", "glb")]
-    if logs_to_file and args.save is None:
+    if logs_to_file(args) and args.save is None:
         args.save = str(folder / f"{recording.path.resolve().name}.rrd")
         own_names.append(Path(args.save).name)
     check_destination(args)
@@ -114,7 +114,7 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
         try:
             if viewer is not None and failure is None:
                 viewer.summarize(records, finished=True)
-                if logs_to_file:
+                if logs_to_file(args):
                     viewing.close()
                     results["Rerun recording"] = os.path.relpath(args.save, folder)
         except OutputError as problem:

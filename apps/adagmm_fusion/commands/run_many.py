@@ -22,6 +22,7 @@ from adagmm_fusion.pairs.settings import Settings
 from adagmm_fusion.processes.task_pool import TaskFailure, run_tasks
 from adagmm_fusion.processes.terminal import printable
 from adagmm_fusion.recordings.opening import recordings_inside
+from adagmm_fusion.rerun_arguments import logs_to_file
 from adagmm_fusion.rerun_log.joint_recording import save_joint_recording
 
 
@@ -71,7 +72,9 @@ def run_many(recordings: list[Path], args: argparse.Namespace, settings: Setting
         if value is not None:
             raise RecordingError(f"{args.recording}: a folder of {len(recordings)} recordings; {option} is for one")
     output = Path(args.output) if args.output else Path("output") / Path(args.recording).resolve().name
-    check_not_foreign(output, REPORTS, results_of_report(output))
+    joint = output / f"{output.name}.rrd"
+    own_names = [*REPORTS, joint.name] if logs_to_file(args) else REPORTS
+    check_not_foreign(output, own_names, results_of_report(output))
     tasks = {path.name: RecordingTask(_for_one(args, path, output), settings) for path in recordings}
     results = dict(run_tasks(run_recording, tasks, workers=args.workers, scheduler=args.scheduler))
     headings = map(_text, ("recording", "ok", "pairs", "median [°]", "median [mm]"))
@@ -88,16 +91,15 @@ def run_many(recordings: list[Path], args: argparse.Namespace, settings: Setting
     if not args.quiet:
         Console().print(table)
         print(printable(f"report: {paths[0]}, {paths[1]}"))
-    if not (args.no_rerun or args.connect or args.serve or args.url or args.stdout):
-        path = output / f"{output.name}.rrd"
+    if logs_to_file(args):
         logged = [
             output / summary.folder / summary.report["results"]["Rerun recording"]
             for summary in summaries
             if summary.report is not None
         ]
-        save_joint_recording(path, output.name, joint_markdown(output.name, summaries), logged)
+        save_joint_recording(joint, output.name, joint_markdown(output.name, summaries), logged)
         if not args.quiet:
-            print(printable(f"Rerun recording of all: {path}"))
+            print(printable(f"Rerun recording of all: {joint}"))
     done = [result for result in results.values() if isinstance(result, RecordingResult)]
     if len(done) < len(results):
         return 1

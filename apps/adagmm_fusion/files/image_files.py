@@ -92,7 +92,8 @@ def decoded_depth(data: bytes, path: Path) -> np.ndarray:
     if image.ndim != 2 or image.dtype != np.uint16:
         channels = 1 if image.ndim == 2 else image.shape[2]
         bits = image.dtype.itemsize * 8
-        raise RecordingError(f"{path}: expected depth with one 16-bit channel, got {channels} of {bits} bits")
+        hint = "; is it the colour image, or a preview of the depth?" if bits == 8 else ""
+        raise RecordingError(f"{path}: expected depth with one 16-bit channel, got {channels} of {bits} bits{hint}")
     return image
 
 

@@ -21,6 +21,8 @@ SCHEMA, JOINT_SCHEMA = "adagmm-fusion-report", "adagmm-fusion-joint-report"
 MARKS = {
     ".ply": b"\ncomment adagmm-fusion\n",
     ".glb": b'"generator": "adagmm-fusion"',
+    ".obj": b"# adagmm-fusion\n",
+    ".mtl": b"# adagmm-fusion\n",
     ".rrd": b"adagmm_fusion",
     ".txt": b"# timestamp tx ty tz qx qy qz qw, camera to world, metres\n",
 }

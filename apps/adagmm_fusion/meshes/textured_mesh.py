@@ -10,6 +10,7 @@ import open3d as o3d
 
 from adagmm_fusion.errors import OutputError
 from adagmm_fusion.files.atomic_file import check_output_file, replacing
+from adagmm_fusion.files.stale_results import MARKS
 from adagmm_fusion.meshes.glb_file import textured_glb
 from adagmm_fusion.meshes.orientation import upright
 
@@ -60,10 +61,12 @@ def _save_obj(path: Path, mesh: TexturedMesh) -> list[Path]:
         with tempfile.TemporaryDirectory(prefix=f".{path.stem}-", dir=path.parent) as folder:
             if not o3d.io.write_triangle_mesh(str(Path(folder) / path.name), legacy):
                 raise OutputError(f"{path}: cannot be written")
-            # What the .obj file names is there before it is.
-            written = sorted(Path(folder).iterdir(), key=lambda file: (file.suffix == ".obj", file.suffix == ".mtl"))
+            # What the .obj file names is there before it is, and the image after the .mtl file that says whose it is.
+            written = sorted(Path(folder).iterdir(), key=lambda file: (".mtl", ".png", ".obj").index(file.suffix))
             for file in written:
                 check_output_file(path.parent / file.name)
+                if file.suffix in MARKS:
+                    file.write_bytes(MARKS[file.suffix] + file.read_bytes())
             for file in written:
                 os.replace(file, path.parent / file.name)
     except OutputError:

@@ -102,8 +102,9 @@ class Report:
         return "; ".join(parts)
 
     def failures(self) -> list[str]:
-        """One line for each failed pair."""
-        return [f"{record.pair}: {record.reason}" for record in self.records if record.status != "ok"]
+        """One line for each failed pair whose diagnosis does not say the reason already."""
+        failed = [record for record in self.records if record.status != "ok"]
+        return [f"{record.pair}: {record.reason}" for record in failed if record.reason not in record.diagnosis]
 
     def diagnoses(self) -> list[str]:
         """One line for each pair of which there is a diagnosis: why it came out so."""

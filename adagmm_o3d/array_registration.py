@@ -24,6 +24,7 @@ from adagmm_o3d.options import (
 from adagmm_o3d.pairs.device import check_device, mixture_maker
 from adagmm_o3d.prepared import PreparedCloud
 from adagmm_o3d.result import PointRegistrationResult
+from adagmm_o3d.uncertainty.surface import scan_covariances
 
 
 def register_points(
@@ -50,9 +51,10 @@ def register_points(
         are not finite, as organised clouds have them where nothing was measured, are ignored and counted. Or what
         `prepare` made of one, with its covariances, to register it with many others.
     source_covariances, target_covariances : (M, D, D) and (N, D, D), symmetric positive semidefinite; only their
-        relative size matters, over both clouds. None stands for the identity at every point; a cloud in place of an
-        array gets `estimate_surface_covariances`, as large as the other's where that has its own. Singular ones, like
-        those that Open3D estimates on flat faces, are given the thickness of a surface and counted, see
+        relative size matters, over both clouds. None stands for the identity at every point; in space, of a dense cloud
+        and of one of scan lines, for `estimate_surface_covariances`, or the rings of a LiDAR would be laid on each
+        other. A cloud in place of an array gets these too, as large as the other's where that has its own. Singular
+        ones, like those that Open3D estimates on flat faces, are given the thickness of a surface and counted, see
         `make_mixture`. A point whose covariance is not finite is ignored and counted; more than 1 % is an error.
     init : (D+1, D+1) rigid transformation source → target; a rotation written with few digits is made exact. It is
         refined nearby, and competes with what common centroids, starts around them and, in space, local features
@@ -114,10 +116,18 @@ def _mixture(
     if not isinstance(cloud, PreparedCloud):
         if type(cloud).__name__ == "PointCloud":
             raise InputTypeError(f"{name}: expected an array, got a PointCloud; see registration_adaptive_gmm()")
-        return make(name, cloud, covariances)
+        return make(name, *with_covariances(name, cloud, covariances))
     if covariances is not None:
         raise InputError(f"{name}_covariances: {name} was prepared with its covariances; give them to prepare()")
     return cloud.mixture(name, make)
+
+
+def with_covariances(name: str, points: ArrayLike, covariances: ArrayLike | None) -> tuple[ArrayLike, ArrayLike | None]:
+    """Points (n, D) and their covariances, or those that stand for them in scans; `name` begins an error."""
+    if covariances is not None:
+        return points, covariances
+    p = float_array(f"{name}.points", points, ("n", (2, 3)), finite=False)
+    return p, scan_covariances(p)
 
 
 def _on_one_scale(

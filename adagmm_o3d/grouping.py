@@ -58,12 +58,11 @@ class Groups:
 
 
 def even_edge(points: Array) -> float | None:
-    """The edge of even cells for (n, D) points: CELL times the root mean square distance from the centroid, or a half,
-    a quarter of it; None where the cloud is not dense."""
+    """The edge of even cells for (n, D) points: the widest, or a half, a quarter of it; None where the cloud is not
+    dense."""
     if len(points) < DENSE_FROM:
         return None
-    widest = CELL * math.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean())
-    edge = widest
+    edge = widest = widest_edge(points)
     while edge > 0.0:
         cells = len(cells_of(points, edge))
         if cells > MOST_LEFT * len(points):
@@ -74,6 +73,11 @@ def even_edge(points: Array) -> float | None:
             break
         edge *= 0.5
     return None
+
+
+def widest_edge(points: Array) -> float:
+    """CELL times the root mean square distance of (n, D) points from their centroid."""
+    return CELL * math.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean())
 
 
 def in_few_places(points: Array) -> bool:

@@ -8,6 +8,7 @@ from typing import Any, overload
 from numpy.typing import ArrayLike
 
 from adagmm_o3d.arguments import Array, real_number
+from adagmm_o3d.array_registration import with_covariances
 from adagmm_o3d.errors import InputError, InputTypeError
 from adagmm_o3d.kernels.limits import EPSILON
 from adagmm_o3d.lazy_open3d import is_installed, o3d
@@ -79,7 +80,7 @@ def prepare(
         return legacy
     if voxel_size > 0.0:
         raise InputError("voxel_size: expected a cloud of Open3D's to thin, got an array")
-    arrays = copy.deepcopy((cloud, covariances))
+    arrays = with_covariances("cloud", *copy.deepcopy((cloud, covariances)))
     points = PreparedCloud(
         "array", arrays[0], Deferred(lambda: arrays), voxel_size, epsilon, given=covariances is not None
     )

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from adagmm_o3d.arguments import Array
 from adagmm_o3d.grouping import CELL, DENSE_FROM, FEWEST, MOST_KINDS, MOST_LEFT, Groups, cell_numbers, in_few_places
 from adagmm_o3d.mixtures.mixture import Mixture
+from adagmm_o3d.principal import principal_axes
 
 # No part of a cloud that decides between ends resolves its shape better than this σ: a standard deviation of 1.6 % of
 # the radius.
@@ -28,12 +29,17 @@ SIGMA_FLOOR = 2.5e-4
 # How often the scatter of a cell counts. A uniform one then has a standard deviation of 0.58 edges.
 OVERLAP = 4.0
 # A cell counts for so many points at most; fewer may be one stray point. Where more count, what is near a LiDAR, its
-# rings with it, counts more, and pulls back along the way: by 0.7 mm a metre with two points, by 2 mm with four.
-FULL = 2.0
+# rings with it, counts more, and pulls back along the way: exact scans by 1.5 mm a metre with four points, by 2.1 mm
+# with eight. Where fewer do, noisy beams are averaged less.
+FULL = 4.0
 # The last σ of a dense cloud, in squared edges and times how much more its components vary along their widest axis than
-# all around: surfaces of covariances like those of GICP are then 1.2 edges wide. Below, a LiDAR's rings, which lie
+# all around: surfaces of covariances like those of GICP are then one edge wide. Below, a LiDAR's rings, which lie
 # farther apart than cells do, would be registered to each other. Others are held apart by the scatter in their cells.
-LAST, LEAST_ELONGATION = 0.0144, 2.5
+LAST, LEAST_ELONGATION = 0.0108, 2.5
+# Below SIGMA_FLOOR the components of a dense cloud are flatter: their widths relative to the widest one are to this
+# power, none below that share. Where on a surface a sensor hits it is of its own making, and draws one scan to another
+# along it; the surface itself does not. Simulated scans of wide beams end half as far off, drives drift less.
+FLATTER, LEAST_SHARE = 1.2, 1e-9
 # A point that would meet more than so many components meets condensed ones, of which each has this share of its
 # standard deviation for an edge.
 MOST_MET, EDGE = 1500, 1.67
@@ -61,6 +67,8 @@ class Cells:
     def at(self, sigma: float) -> Mixture:
         """The mixture with covariances that, times `sigma`, have the scatter in them."""
         covariances = self.covariances + (OVERLAP / sigma) * self.scatters
+        if sigma < SIGMA_FLOOR and self.dimension == 3:
+            covariances = _flatter(covariances)
         kept = np.full(len(self.points), True)
         return Mixture(
             self.points, covariances, self.weights, self.dimension, isotropic=False, kept=kept, colours=self.colours
@@ -121,6 +129,14 @@ class Condensed:
     @cached_property
     def _typical_largest(self) -> float:
         return float(np.median(self._bare.largest_variances))
+
+
+def _flatter(covariances: Array) -> Array:
+    """(n, 3, 3) covariances as wide as these, but with the ratios of their axes to the power of FLATTER."""
+    variances, axes = principal_axes(covariances)
+    widest = variances[:, 2:]
+    shares = np.maximum(variances / widest, LEAST_SHARE) ** FLATTER
+    return (axes * (widest * shares)[:, None, :]) @ axes.transpose(0, 2, 1)
 
 
 def _even_cells(mixture: Mixture) -> tuple[Cells | None, float]:

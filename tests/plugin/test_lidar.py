@@ -17,6 +17,7 @@ from adagmm_o3d import (
 )
 from adagmm_o3d.evaluation import pose_errors
 from adagmm_o3d.lie import se_inverse
+from adagmm_o3d.uncertainty.surface import scan_covariances, stand_in_covariances
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -177,3 +178,82 @@ def test_scans_are_of_one_street_and_poses_exact():
     assert set(np.unique(a.rings)) <= set(range(32)) and len(a.points) == len(a.normals) == len(a.rings)
     elevations = np.degrees(np.arcsin(a.points[:, 2] / np.linalg.norm(a.points, axis=1)))
     np.testing.assert_allclose(elevations, np.linspace(-24.0, 4.0, 32)[a.rings], rtol=0, atol=1e-9)
+
+
+def hilly_scans(seed, distance, *, shots=1200):
+    """Two scans of 16 beams over hills, so far apart and turned by 20 degrees; points (n, 3) of each, and the pose."""
+    rng = np.random.default_rng(seed)
+    waves, phases = rng.normal(0.0, 0.6, (6, 2)), rng.uniform(0.0, 2.0 * np.pi, 6)
+
+    def height(x, y):
+        return sum(0.35 * np.sin(u * x + v * y + phase) for (u, v), phase in zip(waves, phases, strict=True))
+
+    def scan(x, y, yaw):
+        directions = Lidar(n_rings=16, azimuth_step_deg=360.0 / shots, elevation_deg=(-15.0, 15.0)).directions()
+        directions = directions.reshape(-1, 3)
+        ranges = np.linspace(1.0, 25.0, 120)
+        pose = np.eye(4)
+        pose[:2, :2] = [[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]]
+        pose[:3, 3] = x, y, height(x, y) + HEIGHT
+        along = (directions @ pose[:3, :3].T)[:, None, :] * ranges[:, None] + pose[:3, 3]
+        above = along[..., 2] - height(along[..., 0], along[..., 1])
+        first = np.argmax(above < 0.0, axis=1)
+        hit = np.flatnonzero(first > 0)
+        before, after = above[hit, first[hit] - 1], above[hit, first[hit]]
+        met = ranges[first[hit] - 1] + (ranges[1] - ranges[0]) * before / (before - after)
+        return (met + rng.normal(0.0, 0.02, len(hit)))[:, None] * directions[hit], pose
+
+    way = rng.uniform(0.0, 2.0 * np.pi)
+    source, source_pose = scan(0.0, 0.0, rng.uniform(0.0, 2.0 * np.pi))
+    turn = math.atan2(source_pose[1, 0], source_pose[0, 0]) + math.radians(20.0)
+    target, target_pose = scan(distance * math.cos(way), distance * math.sin(way), turn)
+    return source, target, se_inverse(target_pose) @ source_pose
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("distance", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("door", ["arrays", "cloud", "normals", "voxels"])
+def test_few_beams_over_hills_are_no_lines_to_be_laid_on_each_other(distance, door):
+    for seed in range(2):
+        source, target, T = hilly_scans(seed, distance)
+        if door == "arrays":
+            pose = register_points(source, target).transformation
+        else:
+            clouds = [o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points)) for points in (source, target)]
+            if door == "normals":
+                for cloud in clouds:
+                    cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(30))
+            pose = registration_adaptive_gmm(*clouds, 0.5, voxel_size=0.25 if door == "voxels" else -1.0).transformation
+        errors = pose_errors(T, pose)
+        assert errors.rotation_deg < 0.3 and errors.translation < 0.1
+
+
+@pytest.mark.slow
+def test_wide_beams_are_averaged():
+    """Where the surface is dense much is known of it, however noisy a beam is."""
+    errors = []
+    for seed in range(4):
+        source, target, T = scan_pair(seed, 1.0, 5.0, Lidar(n_rings=64, angular_noise=1e-3))
+        errors.append(pose_errors(T, register_points(source, target).transformation))
+    assert np.mean([error.rotation_deg for error in errors]) < 0.018
+    assert np.mean([error.translation for error in errors]) < 0.003
+
+
+def test_only_scan_lines_and_dense_clouds_get_covariances_that_an_array_does_not_have():
+    rng = np.random.default_rng(0)
+    body = rng.normal(size=(3000, 3))
+    assert scan_covariances(body) is None and scan_covariances(body[:, :2]) is None
+    source, _, _ = hilly_scans(0, 1.0)
+    np.testing.assert_array_equal(scan_covariances(source), estimate_surface_covariances(source))
+    assert scan_covariances(source[::20]) is None, "a few points are no lines any more"
+    with_holes = np.insert(source, 5, np.nan, axis=0)
+    covariances = scan_covariances(with_holes)
+    np.testing.assert_array_equal(np.delete(covariances, 5, axis=0), estimate_surface_covariances(source))
+
+
+def test_normals_made_of_a_line_are_not_believed():
+    source, _, _ = hilly_scans(0, 1.0)
+    sideways = np.tile([1.0, 0.0, 0.0], (len(source), 1))
+    np.testing.assert_array_equal(stand_in_covariances(source, sideways), estimate_surface_covariances(source))
+    body = np.random.default_rng(0).normal(size=(3000, 3))
+    assert (stand_in_covariances(body, sideways[:3000])[:, 0, 0] < 0.01).all(), "those of other clouds are"

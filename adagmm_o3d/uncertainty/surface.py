@@ -20,7 +20,7 @@ from adagmm_o3d.principal import principal_axes, scatter_among
 from adagmm_o3d.sampling import distinct_places, some_of
 from adagmm_o3d.uncertainty.planes import CHUNK, LINE, find_planes
 
-CELLS = (0.5, 1.0, 2.0, 4.0)
+CELLS = (0.5, 1.0, 2.0)
 """Edges of the cells of a dense cloud, in those of even ones, the smallest that will do.
 
 From a quarter on, simulated scans with exact beams end a third nearer to the truth, those with noisy beams up to a half
@@ -38,6 +38,10 @@ SCAN_LINES, LINED = (1000, 100_000), 0.25
 """So many points are scan lines if the neighbours of more than this share of them lie along a line: 0.8 to 1 in scans
 of 16 beams, 0.3 to 0.5 in what voxels of 0.25 m leave of these; in 240 clouds of depth cameras and models 0.19 at most.
 More points come from sensors of many beams."""
+
+BETWEEN_LINES = (*CELLS, 4.0)
+"""The same of scan lines, which lie farther apart. With these in dense clouds a LiDAR is pulled back along its way by 1.4
+mm a metre instead of 0.9."""
 
 PROBES = 500
 """Points that are asked where all need not be."""
@@ -99,8 +103,8 @@ def estimate_surface_covariances(
             found, along_line = _estimate_normals(p, neighbors, np.arange(len(p)))
             if not SCAN_LINES[0] <= len(p) <= SCAN_LINES[1] or along_line.mean() <= LINED:
                 return _plane_covariances(found, thickness)
-            edge = widest_edge(p)
-        return _cell_covariances(p, edge, neighbors, thickness)
+            return _cell_covariances(p, widest_edge(p), BETWEEN_LINES, neighbors, thickness)
+        return _cell_covariances(p, edge, CELLS, neighbors, thickness)
     n = unit_vectors("normals", normals, ("N", dimension))
     if len(n) != len(p):
         raise InputError(f"normals: expected {p.shape} to match the points, got {n.shape}")
@@ -190,10 +194,10 @@ def _plane_covariances(normals: Array, thickness: float | Array) -> Array:
     return np.eye(normals.shape[1]) - scaled[:, :, None] * scaled[:, None, :]
 
 
-def _cell_covariances(points: Array, edge: float, knn: int, thickness: float) -> Array:
-    """(N, D, D) of a dense cloud (N, D) with even cells of that edge."""
-    cells = cells_of(points, CELLS[0] * edge)
-    normals, variances = find_planes(points, cells.means(points), [factor * edge for factor in CELLS], knn)
+def _cell_covariances(points: Array, edge: float, factors: tuple[float, ...], knn: int, thickness: float) -> Array:
+    """(N, D, D) of a cloud (N, D) by cells of so many times that edge, the smallest first."""
+    cells = cells_of(points, factors[0] * edge)
+    normals, variances = find_planes(points, cells.means(points), [factor * edge for factor in factors], knn)
     roughness = variances[:, 0] / np.maximum(variances[:, 1], TINY) / AVERAGED
     covariances = _plane_covariances(normals, np.maximum(roughness, thickness))
     covariances[~normals.any(axis=1)] *= VAGUE

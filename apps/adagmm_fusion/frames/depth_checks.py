@@ -38,6 +38,8 @@ MIN_WINDOWS = 25
 SLANT_LEAST, SLANT_MOST = 1.15, 2.0  # farthest over nearest depth of such a plane
 PLANE_RESIDUAL = 0.01
 DISPARITY_SHARE = 0.35
+# A plane is fitted so often, each time to what was no farther from it than so many median deviations; so much is near.
+FITS, OFF_PLANE, ON_PLANE = 4, 5.0, 0.9
 
 
 @dataclass(frozen=True)
@@ -168,23 +170,52 @@ def looks_like_disparity(frames: Sequence[RGBDFrame]) -> bool:
 
 def _preferences(depth: np.ndarray) -> list[float]:
     """Of each window with a slanted plane: the logarithm of the residual of depth over that of inverse depth."""
-    rows, columns = np.mgrid[:WINDOW, :WINDOW] - WINDOW / 2.0
-    design = np.column_stack((rows.ravel(), columns.ravel(), np.ones(WINDOW * WINDOW)))
+    rows, columns = np.mgrid[:WINDOW:2, :WINDOW:2] - WINDOW / 2.0
+    design = np.column_stack((rows.ravel(), columns.ravel(), np.ones(rows.size)))
     found = []
     for top in range(0, depth.shape[0] - WINDOW + 1, WINDOW // 2):
         for left in range(0, depth.shape[1] - WINDOW + 1, WINDOW // 2):
-            values = depth[top : top + WINDOW, left : left + WINDOW].ravel().astype(np.float64)
+            values = depth[top : top + WINDOW : 2, left : left + WINDOW : 2].ravel().astype(np.float64)
             known = np.isfinite(values)
             if known.mean() < 0.9:
                 continue
             values, plane = values[known], design[known]
-            near, far = np.percentile(values, (2, 98))
-            if not SLANT_LEAST < far / near < SLANT_MOST:
+            if _slant(values) <= SLANT_LEAST:
                 continue
-            residuals = []
-            for v in (values, 1.0 / values):
-                fit = plane @ np.linalg.lstsq(plane, v, rcond=None)[0]
-                residuals.append(float(np.median(np.abs(v - fit)) / np.median(v)))
-            if 0 < min(residuals) < PLANE_RESIDUAL:
+            fits = [_plane(plane, v) for v in (values, 1.0 / values)]
+            residuals = [fit.residual for fit in fits]
+            on_plane = fits[int(np.argmin(residuals))].on_plane
+            if on_plane.mean() < ON_PLANE or not 0 < min(residuals) < PLANE_RESIDUAL:
+                continue
+            # Pixels between two surfaces, which interpolation makes, would be taken for slant.
+            if SLANT_LEAST < _slant(values[on_plane]) < SLANT_MOST:
                 found.append(float(np.log(residuals[0] / residuals[1])))
     return found
+
+
+def _slant(depths: np.ndarray) -> float:
+    near, far = np.percentile(depths, (2, 98))
+    return float(far / near)
+
+
+@dataclass(frozen=True, eq=False)
+class _Plane:
+    """A linear fit of values that are nearly all on it.
+
+    residual : the median deviation, as a share of the median value.    on_plane : (N,) bool, what is near it.
+    """
+
+    coefficients: np.ndarray
+    residual: float
+    on_plane: np.ndarray
+
+
+def _plane(design: np.ndarray, values: np.ndarray) -> _Plane:
+    """Fitted again and again to what is near it."""
+    on_plane = np.ones(len(values), bool)
+    for _ in range(FITS):
+        coefficients = np.linalg.lstsq(design[on_plane], values[on_plane], rcond=None)[0]
+        deviations = np.abs(values - design @ coefficients)
+        median = float(np.median(deviations))
+        on_plane = deviations <= OFF_PLANE * median
+    return _Plane(coefficients, median / float(np.median(values)), on_plane)

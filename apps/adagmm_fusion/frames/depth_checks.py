@@ -1,4 +1,5 @@
-"""Checks of depth images by what depth cannot be: beside its colour, in a wrong unit, mirrored, or a disparity.
+"""Checks of depth images by what depth cannot be: beside its colour, in a wrong unit, mirrored, a disparity, or
+a distance along the ray.
 
 Each takes some frames of one sensor and answers only if they leave little doubt.
 """
@@ -9,7 +10,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from adagmm_fusion.frames.depth_geometry import pixel_rays
 from adagmm_fusion.frames.rgbd import RGBDFrame
+from adagmm_o3d.errors import InputError
 
 # Depth differences larger than this share and length [m] are outlines of objects.
 OUTLINE, OUTLINE_M = 0.05, 0.05
@@ -40,6 +43,18 @@ PLANE_RESIDUAL = 0.01
 DISPARITY_SHARE = 0.35
 # A plane is fitted so often, each time to what was no farther from it than so many median deviations; so much is near.
 FITS, OFF_PLANE, ON_PLANE = 4, 5.0, 0.9
+MAD_DEVIATION = 1.4826  # standard deviations of a normal distribution over its median deviation
+
+RAY_WINDOW = 0.2  # of the width, of the planes that depth and distance along the ray are told apart by
+RAY_SAMPLES = 32  # about so many pixels of such a window in each direction
+MIN_RAY_WINDOWS = 10
+# What is uneven in such a plane, at most, as a multiple of what distances along the ray would bend it by.
+RAY_UNEVENNESS = 4.0
+RAY_RESIDUAL_LEAST = 5e-4  # no plane counts for more than with this residual, however smooth it is
+# Planes are straight in depth / |ray|^p: p = 0 is depth and p = 1 distance along the ray. Of a Kinect, an Xtion, a
+# time-of-flight camera and a rendered Kinect the middle half of the planes has p within -0.25 to 0.4, and within 0.7 to
+# 1.4 if their depth is multiplied by |ray|.
+RAY_POWERS = (0.5, 1.6)
 
 
 @dataclass(frozen=True)
@@ -190,6 +205,51 @@ def _preferences(depth: np.ndarray) -> list[float]:
             # Pixels between two surfaces, which interpolation makes, would be taken for slant.
             if SLANT_LEAST < _slant(values[on_plane]) < SLANT_MOST:
                 found.append(float(np.log(residuals[0] / residuals[1])))
+    return found
+
+
+def looks_like_distance(frames: Sequence[RGBDFrame]) -> bool:
+    """Whether planes are bowls, as they are in distances along the ray, and straight if those are divided by |ray|."""
+    planes = [plane for frame in frames for plane in _ray_powers(frame)]
+    if len(planes) < MIN_RAY_WINDOWS:
+        return False
+    powers, weights = np.array(sorted(planes)).T
+    share = np.cumsum(weights) / weights.sum()
+    low, high = powers[np.searchsorted(share, (0.25, 0.75))]
+    least, most = RAY_POWERS
+    return least < low and high < most and float(np.mean((powers > least) & (powers < most))) > 0.5
+
+
+def _ray_powers(frame: RGBDFrame) -> list[tuple[float, float]]:
+    """Of each window with a plane: the power of |ray| that depth has to be divided by, and how surely it tells."""
+    try:
+        depth, rays = frame.depth_m(), pixel_rays(frame.intrinsics)
+    except InputError:  # of a distortion that folds over; whoever needs rays says so
+        return []
+    size = int(RAY_WINDOW * depth.shape[1])
+    step = max(size // RAY_SAMPLES, 1)
+    found = []
+    for top in range(0, depth.shape[0] - size + 1, max(size // 3, 1)):
+        for left in range(0, depth.shape[1] - size + 1, max(size // 3, 1)):
+            window = np.s_[top : top + size : step, left : left + size : step]
+            known = np.isfinite(depth[window])
+            if known.mean() < 0.8:
+                continue
+            design = np.column_stack((rays[window][known], np.ones(np.count_nonzero(known))))
+            lengths = np.log(np.linalg.norm(design, axis=1))
+            # |ray|^p is linear in p around the power in the middle, so that neither hypothesis is favoured.
+            values = np.exp(0.5 * lengths) / depth[window][known].astype(np.float64)
+            values /= np.median(values)
+            straight = design @ _plane(design, values).coefficients
+            bent = straight * lengths
+            fit = _plane(np.column_stack((design, bent)), values)
+            flat = design[fit.on_plane]
+            bent = bent[fit.on_plane]
+            bend = float((bent - flat @ np.linalg.lstsq(flat, bent, rcond=None)[0]).std())
+            if fit.on_plane.mean() < ON_PLANE or MAD_DEVIATION * fit.residual > RAY_UNEVENNESS * bend:
+                continue
+            power = 0.5 - float(fit.coefficients[3])
+            found.append((power, (bend / max(fit.residual, RAY_RESIDUAL_LEAST)) ** 2))
     return found
 
 

@@ -13,6 +13,7 @@ from adagmm_fusion.frames.depth_checks import (
     UNIT_MISTAKES,
     color_offset,
     looks_like_disparity,
+    looks_like_distance,
     nearer_than_cameras_see,
     unit_mistake,
 )
@@ -66,6 +67,11 @@ def sensor_warnings(frames: Sequence[RGBDFrame]) -> list[str]:
     if looks_like_disparity(frames):
         warnings.append(
             f"{DEPTH_LOOKS} like disparity: planes are straight in it; depth is focal length x baseline / it"
+        )
+    elif looks_like_distance(frames):
+        warnings.append(
+            f"{DEPTH_LOOKS} like the distance along the ray: planes are straight if it is divided by the length of the "
+            "ray, |(x, y, 1)|; convert it to depth along the optical axis"
         )
     elif (times := unit_mistake(frames)) is not None:
         scale = frames[0].depth_scale

@@ -7,7 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from depth_scene import write_redwood
+from depth_scene import camera_pose, write_redwood
 from shared_data import ROOT, shared_data
 
 from adagmm_fusion.cli import main
@@ -23,6 +23,7 @@ from adagmm_fusion.pairs.mirrored import agreeing_matches, looks_mirrored
 from adagmm_fusion.pairs.plausibility import recording_warnings, sensor_warnings
 from adagmm_fusion.recordings.frame_sequence import FrameEntry, PairEntry, Recording
 from adagmm_fusion.recordings.opening import open_recording
+from adagmm_o3d.lie import se_inverse
 
 SHIPPED = ROOT / "recordings" / "two_kinects"
 
@@ -218,3 +219,27 @@ def test_info_and_report_say_so(tmp_path, capsys, monkeypatch, shipped):
     main(["run", str(SHIPPED), *arguments])
     assert "note: right: the colour looks " in capsys.readouterr().out
     assert "## Notes on the recording\n\n- right: the colour looks " in (tmp_path / "report.md").read_text()
+
+
+def turned(way, late=0.0):
+    """Poses of three frames [m], each turned further and `way` farther on; `late`, by so many degrees more each."""
+    return [camera_pose(10.0 * i + late * (i + 1), (0.0, way * i, 1.2), 60.0) for i in range(3)]
+
+
+def test_poses_of_another_time_are_no_wrong_unit(tmp_path):
+    """Over a floor all of which, brought near enough, would be within centimetres of where any such pose has it."""
+    write_redwood(tmp_path, turned(0.03), PinholeIntrinsics(160, 120, 131.0, 131.0, 79.5, 59.5))
+    recording = open_recording(tmp_path)
+    poses = turned(0.03, late=8.0)
+    late = [replace(p, T_target_source=se_inverse(poses[p.target]) @ poses[p.source]) for p in recording.pairs]
+    assert not any("depth_scale" in text for text in recording_warnings(replace(recording, pairs=tuple(late))))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("times", [5.0, 10.0])
+def test_depth_that_is_too_large_is_told_by_the_known_poses(shipped, times):
+    """In floating point, so that no steps tell."""
+    large = lambda frame: replace(frame, depth=frame.depth_m() * 1.0, depth_scale=1.0 / times)  # noqa: E731
+    warnings = recording_warnings(changed(replace(shipped, pairs=shipped.pairs[:2]), None, large))
+    (warning,) = [text for text in warnings if "depth_scale" in text]
+    assert warning.startswith(f"the depth looks {times:g} times too large: by the known poses ")

@@ -124,8 +124,11 @@ def sampled_points(frame: RGBDFrame) -> np.ndarray:
     return points[np.isfinite(points).all(axis=1)]
 
 
-def agreeing_share(points: np.ndarray, target: RGBDFrame, T_target_source: np.ndarray) -> float:
-    """The share of the source's points (N, 3) [m] that the target sees where its own depth is."""
+def agreeing_share(
+    points: np.ndarray, target: RGBDFrame, T_target_source: np.ndarray, at_least_m: float = AGREEMENT_M
+) -> float:
+    """The share of the source's points (N, 3) [m] that the target sees where its own depth is, up to AGREEMENT of it
+    or `at_least_m`."""
     if not len(points):
         return 0.0
     k = target.intrinsics
@@ -135,5 +138,5 @@ def agreeing_share(points: np.ndarray, target: RGBDFrame, T_target_source: np.nd
         seen = (z > MIN_DEPTH) & (column >= 0) & (column < k.width) & (row >= 0) & (row < k.height)
     depth = depth_in_range(target, MIN_DEPTH, MAX_DEPTH)[row[seen].astype(int), column[seen].astype(int)]
     with np.errstate(invalid="ignore"):
-        agree = np.abs(depth - z[seen]) < np.maximum(AGREEMENT * z[seen], AGREEMENT_M)
+        agree = np.abs(depth - z[seen]) < np.maximum(AGREEMENT * z[seen], at_least_m)
     return float(agree.sum() / len(points))

@@ -17,7 +17,7 @@ from adagmm_fusion.frames.depth_checks import (
     nearer_than_cameras_see,
     unit_mistake,
 )
-from adagmm_fusion.frames.pose_readings import agreeing_share, clearly_better, sampled_points
+from adagmm_fusion.frames.pose_readings import AGREEMENT_M, agreeing_share, clearly_better, sampled_points
 from adagmm_fusion.frames.rgbd import RGBDFrame, RGBDPair
 from adagmm_fusion.pairs.mirrored import looks_mirrored
 from adagmm_fusion.recordings.frame_sequence import FrameEntry, Recording
@@ -127,7 +127,9 @@ def _scale_warning(known: Sequence[RGBDPair]) -> str | None:
 
     def share(times: float) -> float:
         scaled = [(_scaled(pair.source, times), _scaled(pair.target, times), pair.T_target_source) for pair in known]
-        return float(np.mean([agreeing_share(sampled_points(s), t, T) for s, t, T in scaled]))
+        # Else whatever is brought very near agrees with any pose, as with those of another time.
+        at_least_m = AGREEMENT_M / max(times, 1.0)
+        return float(np.mean([agreeing_share(sampled_points(s), t, T, at_least_m) for s, t, T in scaled]))
 
     given = share(1.0)
     shares = {times: share(times) for times in UNIT_MISTAKES}

@@ -29,6 +29,7 @@ from folder_layouts import (
 
 from adagmm_fusion.clouds.building import dense_cloud
 from adagmm_fusion.errors import RecordingError, RigError
+from adagmm_fusion.formats import matching
 from adagmm_fusion.formats.icl_nuim import INTRINSICS as ICL_INTRINSICS
 from adagmm_fusion.formats.options import PRIMESENSE
 from adagmm_fusion.formats.tum import INTRINSICS as TUM_INTRINSICS
@@ -115,6 +116,27 @@ def test_a_rig_replaces_intrinsics_and_scale(known):
     two = {name: SensorCalibration(name, other, 2000.0, None) for name in ("a", "b")}
     with pytest.raises(RigError, match="no sensor"):
         open_recording(folder, rig=Rig("two", two))
+
+
+def test_hidden_files_beside_the_files_say_nothing(known, tmp_path):
+    """As macOS leaves them on other systems' disks."""
+    format, folder, *_, names = known
+    copy = tmp_path / folder.name
+    shutil.copytree(folder, copy)
+    for path in [path for path in copy.rglob("*") if path.is_file()]:
+        path.with_name(f"._{path.name}").write_bytes(b"\0\5\x16\7")
+    recording, plain = open_recording(copy), open_recording(folder)
+    assert recording.format == format and [entry.name for entry in recording.entries] == names
+    assert recording.notes == plain.notes
+    for entry, other in zip(recording.entries, plain.entries, strict=True):
+        assert np.array_equal(entry.load().color, other.load().color)
+        assert np.array_equal(entry.T_world_camera, other.T_world_camera)
+
+
+@pytest.mark.parametrize("suffix", ["r3d", "mkv", "sens"])
+def test_a_hidden_file_alone_is_no_recording(tmp_path, suffix):
+    (tmp_path / f"._scan.{suffix}").write_bytes(b"\0\5\x16\7")
+    assert matching(tmp_path) == []
 
 
 def edited(path, old, new, count=1):

@@ -4,6 +4,7 @@ import errno
 import hashlib
 import os
 import stat
+from collections.abc import Iterable
 from pathlib import Path
 
 from adagmm_o3d.errors import InputError
@@ -25,6 +26,12 @@ def is_given(path: Path) -> bool:
     except (FileNotFoundError, NotADirectoryError, ValueError):
         return False
     return True
+
+
+def visible(paths: Iterable[Path]) -> list[Path]:
+    """Of a listing what is not hidden, by name: beside each file on another system's disk macOS writes a ._ file, which
+    ends as the file does and holds something else."""
+    return sorted(path for path in paths if not path.name.startswith("."))
 
 
 def check_input(path: Path, error: type[InputError], *, missing: str | None = None) -> None:

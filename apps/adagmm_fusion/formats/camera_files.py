@@ -22,7 +22,7 @@ import numpy as np
 
 from adagmm_fusion.errors import RecordingError, RigError
 from adagmm_fusion.files.image_files import inside
-from adagmm_fusion.files.input_file import read_input_text
+from adagmm_fusion.files.input_file import read_input_text, visible
 from adagmm_fusion.files.json_file import json_number, json_numbers, read_json
 from adagmm_fusion.formats.camera_fields import (
     DEPTH,
@@ -125,10 +125,10 @@ class CameraFile:
 def find_camera_files(folder: Path) -> list[Path]:
     """The files that by their names may hold a calibration, in the folder and in those below that are named so; and
     ORB-SLAM's settings, whatever they are called."""
-    places = [folder, *(p for p in sorted(folder.iterdir()) if p.is_dir() and FOLDER_NAME.search(p.name))]
+    places = [folder, *(p for p in visible(folder.iterdir()) if p.is_dir() and FOLDER_NAME.search(p.name))]
     found = []
     for place in places:
-        for path in sorted(place.iterdir()):
+        for path in visible(place.iterdir()):
             if path.suffix.lower() not in SUFFIXES:
                 continue
             named = FILE_NAME.search(path.stem if place == folder else f"k_{path.stem}")

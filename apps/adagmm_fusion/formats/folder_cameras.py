@@ -13,6 +13,7 @@ import numpy as np
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import inside
+from adagmm_fusion.files.input_file import visible
 from adagmm_fusion.formats.camera_fields import BOTH, COLOR, DEPTH, role_of
 from adagmm_fusion.formats.camera_files import EXPECTED, SUFFIXES, CameraFile, find_camera_files, read_camera_file
 from adagmm_fusion.formats.text_table import parse_pose, read_matrix
@@ -150,7 +151,7 @@ def _is_between(name: str) -> bool:
 
 def _between(folder: Path) -> tuple[Path | None, np.ndarray | None]:
     """The file that says where the depth camera is, and T_color_depth, if it is a matrix."""
-    found = [path for path in (*sorted(folder.glob("*")), *sorted(folder.glob("*/*.txt"))) if _is_between(path.stem)]
+    found = [path for path in (*visible(folder.glob("*")), *visible(folder.glob("*/*.txt"))) if _is_between(path.stem)]
     found = [path for path in found if path.suffix.lower() in SUFFIXES and not path.is_dir()]
     for path in sorted(found, key=lambda path: path.suffix.lower() not in MATRIX_SUFFIXES):
         path = inside(folder, str(path.relative_to(folder)), str(folder))

@@ -14,7 +14,7 @@ import numpy as np
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import inside
-from adagmm_fusion.files.input_file import is_given
+from adagmm_fusion.files.input_file import is_given, visible
 from adagmm_fusion.formats.listed_frames import ListedFrame, recording_of_frames
 from adagmm_fusion.formats.options import ReadOptions
 from adagmm_fusion.formats.pose_columns import in_usual_order, quaternion_columns
@@ -31,11 +31,11 @@ MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
 def matches(folder: Path) -> bool:
-    return is_given(folder / "associations.txt") and any(folder.glob("*.gt.freiburg"))
+    return is_given(folder / "associations.txt") and any(visible(folder.glob("*.gt.freiburg")))
 
 
 def read(folder: Path, options: ReadOptions) -> Recording:
-    truths = sorted(folder.glob("*.gt.freiburg"))
+    truths = visible(folder.glob("*.gt.freiburg"))
     if len(truths) != 1:
         raise RecordingError(f"{folder}: expected one file *.gt.freiburg, got {len(truths)}")
     poses = _read_poses(inside(folder, truths[0].name, str(folder)))

@@ -11,6 +11,7 @@ import numpy as np
 
 from adagmm_fusion.files.depth_files import DEPTH_SUFFIXES
 from adagmm_fusion.files.image_files import COLOR_SUFFIXES
+from adagmm_fusion.files.input_file import visible
 from adagmm_fusion.formats.time_units import units_per_second
 
 # Names of folders and files, the surer ones first; see _words.
@@ -128,13 +129,11 @@ def counted_otherwise(numbers: Collection[float], others: Collection[float]) -> 
 
 def _files(folder: Path, *, links: bool) -> Iterator[Path]:
     """The files in a folder and in those in it."""
-    for path in sorted(folder.iterdir()):
-        if path.name.startswith("."):
-            continue
+    for path in visible(folder.iterdir()):
         if not path.is_dir():
             yield path
         elif links or not path.is_symlink():
-            yield from (child for child in sorted(path.iterdir()) if not child.is_dir())
+            yield from (child for child in visible(path.iterdir()) if not child.is_dir())
 
 
 def _words(name: str) -> list[str]:

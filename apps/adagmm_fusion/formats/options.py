@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adagmm_fusion.errors import RecordingError
+from adagmm_fusion.files.input_file import visible
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 from adagmm_fusion.rigs.rig import Rig
 from adagmm_o3d.errors import InputError
@@ -83,6 +84,4 @@ def unpaired_notes(colors: Collection[str], depths: Collection[str], where: Path
 
 def listed_images(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
     """The image files of a folder, by name."""
-    return sorted(
-        path for path in folder.iterdir() if path.suffix.lower() in suffixes and not path.name.startswith(".")
-    )
+    return [path for path in visible(folder.iterdir()) if path.suffix.lower() in suffixes]

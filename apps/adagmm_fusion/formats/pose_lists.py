@@ -19,6 +19,7 @@ import numpy as np
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.depth_files import read_array
 from adagmm_fusion.files.image_files import inside
+from adagmm_fusion.files.input_file import visible
 from adagmm_fusion.formats.image_lists import NUMBER, counted_otherwise, find_images, in_order, number_of, pair_images
 from adagmm_fusion.formats.pose_columns import in_usual_order, quaternion_columns
 from adagmm_fusion.formats.text_table import (
@@ -71,8 +72,8 @@ def find_poses(folder: Path, images: Sequence[Path], notes: list[str]) -> PoseLi
     ------
     RecordingError  naming file and line, if a file of poses cannot be read or does not fit the frames.
     """
-    for place in (folder, *(p for p in sorted(folder.iterdir()) if p.is_dir() and NAME.search(p.name))):
-        named = [path for path in sorted(place.iterdir()) if path.suffix.lower() in (*SUFFIXES, *NOT_READ)]
+    for place in (folder, *(p for p in visible(folder.iterdir()) if p.is_dir() and NAME.search(p.name))):
+        named = [path for path in visible(place.iterdir()) if path.suffix.lower() in (*SUFFIXES, *NOT_READ)]
         if place == folder:
             named = [path for path in named if NAME.search(path.name)]
         named = [path for path in named if not NO_POSE.search(path.name)]

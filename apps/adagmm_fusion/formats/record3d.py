@@ -24,7 +24,7 @@ import numpy as np
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import decoded_color, inside
-from adagmm_fusion.files.input_file import MAX_BYTES, check_input, is_given, read_input
+from adagmm_fusion.files.input_file import MAX_BYTES, check_input, is_given, read_input, visible
 from adagmm_fusion.files.json_file import json_number, json_numbers, json_object, parse_json
 from adagmm_fusion.files.lzfse import decoded_lzfse
 from adagmm_fusion.formats.listed_frames import ListedFrame, recording_of_frames
@@ -44,11 +44,11 @@ MAX_SIZE = 10_000
 def matches(path: Path) -> bool:
     if path.is_file():
         return path.suffix.lower() == ".r3d"
-    return len(list(path.glob("*.r3d"))) == 1 or (is_given(path / "metadata") and (path / "rgbd").is_dir())
+    return len(visible(path.glob("*.r3d"))) == 1 or (is_given(path / "metadata") and (path / "rgbd").is_dir())
 
 
 def read(path: Path, options: ReadOptions) -> Recording:
-    place = path if not path.is_dir() else next(iter(sorted(path.glob("*.r3d"))), path)
+    place = path if not path.is_dir() else next(iter(visible(path.glob("*.r3d"))), path)
     if place != path:
         place = inside(path, place.name, str(path))
     where = f"{place}: metadata"

@@ -24,7 +24,7 @@ import numpy as np
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.depth_files import DEPTH_SUFFIXES
 from adagmm_fusion.files.image_files import COLOR_SUFFIXES, image_size, inside
-from adagmm_fusion.files.input_file import is_given
+from adagmm_fusion.files.input_file import is_given, visible
 from adagmm_fusion.files.json_file import read_json
 from adagmm_fusion.formats.camera_files import find_camera_files, read_camera_file
 from adagmm_fusion.formats.listed_frames import ListedFrame, recording_of_frames
@@ -118,7 +118,7 @@ def _read_trajectory(folder: Path, frame_count: int, notes: list[str]) -> dict[i
     if not logs:
         notes += [
             f"{path.name}: left out, it is no trajectory; expected lines of three integers and of four numbers"
-            for path in sorted(folder.glob("*.log"))
+            for path in visible(folder.glob("*.log"))
         ]
         return {}
     if len(logs) > 1:
@@ -149,7 +149,7 @@ def _trajectories(folder: Path) -> list[Path]:
     """trajectory.log, whose mistakes are said; else what starts like one, for programs write logs too."""
     if is_given(folder / TRAJECTORY):
         return [folder / TRAJECTORY]
-    return [path for path in sorted(folder.glob("*.log")) if _starts_like_a_trajectory(path)]
+    return [path for path in visible(folder.glob("*.log")) if _starts_like_a_trajectory(path)]
 
 
 def _starts_like_a_trajectory(path: Path) -> bool:

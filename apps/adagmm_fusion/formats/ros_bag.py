@@ -18,7 +18,7 @@ import numpy as np
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import checked_frame
-from adagmm_fusion.files.input_file import is_given
+from adagmm_fusion.files.input_file import is_given, visible
 from adagmm_fusion.formats.options import ReadOptions
 from adagmm_fusion.formats.ros_cameras import RosBag
 from adagmm_fusion.formats.ros_images import color_image, depth_image, depth_units
@@ -70,7 +70,7 @@ def read(path: Path, options: ReadOptions) -> Recording:
 
 
 def _rosbag_files(folder: Path) -> Iterator[Path]:
-    return (path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
+    return (path for path in visible(folder.iterdir()) if path.suffix.lower() in SUFFIXES)
 
 
 def _rig_calibration(

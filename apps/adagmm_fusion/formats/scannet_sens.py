@@ -21,7 +21,7 @@ import numpy as np
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.depth_files import MAX_PIXELS
 from adagmm_fusion.files.image_files import decoded_color, inside
-from adagmm_fusion.files.input_file import check_input
+from adagmm_fusion.files.input_file import check_input, visible
 from adagmm_fusion.formats.listed_frames import ListedFrame, recording_of_frames
 from adagmm_fusion.formats.options import ReadOptions, intrinsics_from_matrix
 from adagmm_fusion.formats.text_table import parse_pose
@@ -38,11 +38,11 @@ FRAME_HEADER = struct.Struct("<16f4Q")
 
 
 def matches(path: Path) -> bool:
-    return path.suffix.lower() == ".sens" if path.is_file() else len(list(path.glob("*.sens"))) == 1
+    return path.suffix.lower() == ".sens" if path.is_file() else len(visible(path.glob("*.sens"))) == 1
 
 
 def read(path: Path, options: ReadOptions) -> Recording:
-    file = path if not path.is_dir() else next(iter(sorted(path.glob("*.sens"))), None)
+    file = path if not path.is_dir() else next(iter(visible(path.glob("*.sens"))), None)
     if file is None:
         raise RecordingError(f"{path}: expected a .sens file, there is none")
     if file != path:

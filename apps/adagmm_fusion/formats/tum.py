@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import inside, load_frame
-from adagmm_fusion.files.input_file import is_given, read_input_text
+from adagmm_fusion.files.input_file import is_given, read_input_text, visible
 from adagmm_fusion.formats.options import ReadOptions
 from adagmm_fusion.formats.own_camera import calibration_with_own
 from adagmm_fusion.formats.pose_columns import in_usual_order, quaternion_columns
@@ -57,7 +57,7 @@ def matches(folder: Path) -> bool:
     if all(is_given(folder / name) for name in LISTS):
         return True
     listed = _associations_file(folder)
-    if listed is None or any(folder.glob("*.gt.freiburg")):  # the latter is ICL-NUIM's
+    if listed is None or any(visible(folder.glob("*.gt.freiburg"))):  # the latter is ICL-NUIM's
         return False
     try:
         first = next(read_rows(listed), ("", []))[1]

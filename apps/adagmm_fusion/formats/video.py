@@ -16,6 +16,7 @@ import numpy as np
 
 from adagmm_fusion.errors import RecordingError
 from adagmm_fusion.files.image_files import checked_frame, inside
+from adagmm_fusion.files.input_file import visible
 from adagmm_fusion.formats import ros_bag
 from adagmm_fusion.formats.azure_kinect import AzureKinectStream
 from adagmm_fusion.formats.bag_stream import BagStream, is_realsense
@@ -94,7 +95,7 @@ def _names(times: np.ndarray) -> list[str]:
 def _files(path: Path) -> list[Path]:
     if path.is_file():
         return [path] if path.suffix.lower() in SUFFIXES else []
-    files = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES)
+    files = [file for file in visible(path.iterdir()) if file.suffix.lower() in SUFFIXES]
     return [inside(path, file.name, str(path)) for file in files]
 
 

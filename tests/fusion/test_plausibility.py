@@ -202,6 +202,23 @@ def test_depth_files_that_are_the_same_are_named(tmp_path):
     assert not any("depth files" in text for text in recording_warnings(recording))
 
 
+def test_sensors_with_the_same_depth_files_are_named(tmp_path):
+    """At the second and the third moment; at the first they differ in their last byte, as much as two sensors may."""
+    shutil.copytree(SHIPPED, tmp_path / "copy")
+    shutil.copyfile(ROOT / "calibration" / "two_kinects.yaml", tmp_path / "copy" / "two_kinects.yaml")
+    left, right = (sorted((tmp_path / "copy" / sensor / "depth").iterdir()) for sensor in ("left", "right"))
+    for one, other in zip(left[1:], right[1:], strict=True):
+        shutil.copyfile(one, other)
+    changed_bytes = bytearray(left[0].read_bytes())
+    changed_bytes[-1] ^= 1
+    right[0].write_bytes(changed_bytes)
+    found = [text for text in recording_warnings(open_recording(tmp_path / "copy")) if "depth files" in text]
+    assert found == [
+        f"left and right: their depth files of {left[1].stem} are the same, byte for byte: was one camera recorded "
+        "twice, were files copied, or was nothing measured?"
+    ]
+
+
 def test_disparity_is_no_depth(frames):
     assert not looks_like_disparity(frames) and looks_like_disparity([disparity(frame) for frame in frames])
     assert not looks_like_disparity([])

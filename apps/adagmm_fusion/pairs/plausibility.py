@@ -1,9 +1,9 @@
 """What looks wrong in a recording before anything is registered: a line for each, with the likely cause."""
 
 import filecmp
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +45,7 @@ def recording_warnings(recording: Recording) -> tuple[str, ...]:
             near.append(f"{sensor}: {text}")
         if (text := _frozen_warning(own)) is not None:
             warnings.append(f"{sensor}: {text}")
+    warnings += _copied_warnings(recording)
     pairs = list(_loaded([lambda i=i: recording[i] for i in _spread(len(recording), PAIRS)]))
     for pair in pairs:
         if pair.source.sensor != pair.target.sensor and looks_mirrored(pair.source, pair.target):
@@ -94,13 +95,35 @@ def sensor_warnings(frames: Sequence[RGBDFrame]) -> list[str]:
 def _frozen_warning(entries: Sequence[FrameEntry]) -> str | None:
     """Whether two consecutive frames have one depth image; a camera's noise makes no two the same. Only the first two
     are named, so that not all of many copies are read."""
-    for one, other in pairwise(entries):
-        if one.depth_file is not None and other.depth_file is not None and _same(one.depth_file, other.depth_file):
-            return (
-                f"the depth files of {one.name} and {other.name} are the same, byte for byte: a camera that hung, "
-                "copied files or nothing measured? leave out what is no frame of its own"
-            )
+    for one, other in _with_same_depth(pairwise(entries)):
+        return (
+            f"the depth files of {one.name} and {other.name} are the same, byte for byte: a camera that hung, "
+            "copied files or nothing measured? leave out what is no frame of its own"
+        )
     return None
+
+
+def _copied_warnings(recording: Recording) -> list[str]:
+    """A line for every two sensors that have one depth image at one moment, which is named as above."""
+    by_sensor: dict[str, dict[str, FrameEntry]] = {sensor: {} for sensor in recording.sensors}
+    for entry in recording.entries:
+        by_sensor[entry.sensor].setdefault(entry.name, entry)
+    warnings = []
+    for (one, own), (other, others) in combinations(by_sensor.items(), 2):
+        moments = ((entry, others[name]) for name, entry in own.items() if name in others)
+        for entry, _ in _with_same_depth(moments):
+            warnings.append(
+                f"{one} and {other}: their depth files of {entry.name} are the same, byte for byte: was one camera "
+                "recorded twice, were files copied, or was nothing measured?"
+            )
+            break
+    return warnings
+
+
+def _with_same_depth(entries: Iterable[tuple[FrameEntry, FrameEntry]]) -> Iterator[tuple[FrameEntry, FrameEntry]]:
+    for one, other in entries:
+        if one.depth_file is not None and other.depth_file is not None and _same(one.depth_file, other.depth_file):
+            yield one, other
 
 
 def _same(one: Path, other: Path) -> bool:

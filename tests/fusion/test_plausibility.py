@@ -219,6 +219,35 @@ def test_sensors_with_the_same_depth_files_are_named(tmp_path):
     ]
 
 
+@pytest.mark.parametrize(
+    ("step", "apart", "said"),
+    [
+        (1 / 30, 1 / 60, None),
+        (1 / 30, 0.15, "0.15 s"),
+        (0.5, 0.25, None),
+        (0.5, 0.9, None),
+        (60.0, 0.9, None),
+        (2.0, -37.5, "37.5 s"),
+        (None, 37.5, None),
+    ],
+)
+def test_frames_of_one_moment_that_are_far_apart_in_time(tmp_path, step, apart, said):
+    write_redwood(tmp_path, [np.eye(4)] * 3, PinholeIntrinsics(64, 48, 60.0, 60.0, 31.5, 23.5))
+    load = open_recording(tmp_path).entries[0].load
+
+    def time(sensor, i):
+        return None if step is None else 1e9 + i * step + (apart if sensor == "right" and i == 1 else 0.0)
+
+    entries = [FrameEntry(str(i), s, load, timestamp=time(s, i)) for i in range(3) for s in ("left", "right")]
+    pairs = tuple(PairEntry(i + 1, i) for i in range(0, 6, 2))
+    warnings = recording_warnings(Recording("times", tmp_path, "adagmm", tuple(entries), pairs))
+    expected = (
+        f"left and right: their frames of one moment are up to {said} apart by their times: another moment's, or "
+        "clocks that differ? what moved in between is at two places"
+    )
+    assert [text for text in warnings if "moment" in text] == ([expected] if said else [])
+
+
 def test_disparity_is_no_depth(frames):
     assert not looks_like_disparity(frames) and looks_like_disparity([disparity(frame) for frame in frames])
     assert not looks_like_disparity([])

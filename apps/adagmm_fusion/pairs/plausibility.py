@@ -28,6 +28,9 @@ from adagmm_o3d.errors import AdaGMMError
 FRAMES, PAIRS = 4, 3
 # What known ways are multiplied by to see whether the depth images agree better.
 WAYS = np.geomspace(0.05, 20.0, 61)
+# Frames of one moment further apart [s] than this, or than this and twice the time from frame to frame, are none: free
+# running cameras are half of that time apart, and another frame would be nearer.
+APART_S, APART_STEPS_S, APART_STEPS = 1.0, 0.1, 2.0
 DEPTH_LOOKS = "the depth looks"
 WAYS_LOOK = "the ways between the known poses look"
 
@@ -46,6 +49,7 @@ def recording_warnings(recording: Recording) -> tuple[str, ...]:
         if (text := _frozen_warning(own)) is not None:
             warnings.append(f"{sensor}: {text}")
     warnings += _copied_warnings(recording)
+    warnings += _time_warnings(recording)
     pairs = list(_loaded([lambda i=i: recording[i] for i in _spread(len(recording), PAIRS)]))
     for pair in pairs:
         if pair.source.sensor != pair.target.sensor and looks_mirrored(pair.source, pair.target):
@@ -105,12 +109,8 @@ def _frozen_warning(entries: Sequence[FrameEntry]) -> str | None:
 
 def _copied_warnings(recording: Recording) -> list[str]:
     """A line for every two sensors that have one depth image at one moment, which is named as above."""
-    by_sensor: dict[str, dict[str, FrameEntry]] = {sensor: {} for sensor in recording.sensors}
-    for entry in recording.entries:
-        by_sensor[entry.sensor].setdefault(entry.name, entry)
     warnings = []
-    for (one, own), (other, others) in combinations(by_sensor.items(), 2):
-        moments = ((entry, others[name]) for name, entry in own.items() if name in others)
+    for one, other, moments in _moments(recording):
         for entry, _ in _with_same_depth(moments):
             warnings.append(
                 f"{one} and {other}: their depth files of {entry.name} are the same, byte for byte: was one camera "
@@ -118,6 +118,32 @@ def _copied_warnings(recording: Recording) -> list[str]:
             )
             break
     return warnings
+
+
+def _time_warnings(recording: Recording) -> list[str]:
+    """A line for every two sensors whose frames of one moment were not taken at one."""
+    warnings = []
+    for one, other, moments in _moments(recording):
+        stamps = [(a.timestamp, b.timestamp) for a, b in moments if None not in (a.timestamp, b.timestamp)]
+        times = np.array(stamps, dtype=np.float64).reshape(-1, 2)
+        steps = np.abs(np.diff(times, axis=0))
+        usual = float(np.median(steps, axis=0).min()) if steps.size else np.inf
+        most = np.abs(times[:, 0] - times[:, 1]).max(initial=0.0)
+        if most > min(APART_S, max(APART_STEPS_S, APART_STEPS * usual)):
+            warnings.append(
+                f"{one} and {other}: their frames of one moment are up to {most:.3g} s apart by their times: another "
+                "moment's, or clocks that differ? what moved in between is at two places"
+            )
+    return warnings
+
+
+def _moments(recording: Recording) -> Iterator[tuple[str, str, list[tuple[FrameEntry, FrameEntry]]]]:
+    """Every two sensors with their frames of one name, which are of one moment."""
+    by_sensor: dict[str, dict[str, FrameEntry]] = {sensor: {} for sensor in recording.sensors}
+    for entry in recording.entries:
+        by_sensor[entry.sensor].setdefault(entry.name, entry)
+    for (one, own), (other, others) in combinations(by_sensor.items(), 2):
+        yield one, other, [(entry, others[name]) for name, entry in own.items() if name in others]
 
 
 def _with_same_depth(entries: Iterable[tuple[FrameEntry, FrameEntry]]) -> Iterator[tuple[FrameEntry, FrameEntry]]:

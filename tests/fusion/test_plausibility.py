@@ -23,6 +23,7 @@ from adagmm_fusion.pairs.mirrored import agreeing_matches, looks_mirrored
 from adagmm_fusion.pairs.plausibility import recording_warnings, sensor_warnings
 from adagmm_fusion.recordings.frame_sequence import FrameEntry, PairEntry, Recording
 from adagmm_fusion.recordings.opening import open_recording
+from adagmm_fusion.rigs.rig import Rig, SensorCalibration
 from adagmm_o3d.lie import se_inverse
 
 SHIPPED = ROOT / "recordings" / "two_kinects"
@@ -246,6 +247,38 @@ def test_frames_of_one_moment_that_are_far_apart_in_time(tmp_path, step, apart, 
         "clocks that differ? what moved in between is at two places"
     )
     assert [text for text in warnings if "moment" in text] == ([expected] if said else [])
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ((440, 360, 495.6, 495.5, 269.5, 169.2), "cx 269.5 is 50 px off the middle of images 440 wide"),
+        ((640, 480, 525, 525, 256, 180), "cx 256 is 64 px off the middle of images 640 wide and cy 180 is 60 px off"),
+        ((640, 480, 525, 525, 239.5, 319.5), "cx 239.5 cy 319.5 look exchanged, for images of 640x480"),
+        ((540, 360, 495, 659, 269.5, 169.2), "fx 495 and fy 659 are of pixels that are not square"),
+        # Kinect v1 as TUM calibrated one, Kinect v2, RealSense F200, both sizes of the Azure Kinect's narrow view, and
+        # images of which undistorting left the middle.
+        ((640, 480, 517.3, 516.5, 318.6, 255.3), None),
+        ((512, 424, 365, 365, 256, 212), None),
+        ((640, 480, 615.2, 615.2, 298.4, 247.5), None),
+        ((640, 576, 504, 504, 320, 345), None),
+        ((320, 288, 252, 252, 160, 168), None),
+        ((739, 458, 726, 726, 354.6, 186.5), None),
+    ],
+)
+def test_intrinsics_of_other_images(tmp_path, values, said):
+    width, height = values[:2]
+    write_redwood(tmp_path, [np.eye(4)] * 2, PinholeIntrinsics(width, height, 500.0, 500.0, width / 2, height / 2))
+    rig = Rig("mine", {"camera": SensorCalibration("camera", PinholeIntrinsics(*values), 1000.0, None)})
+    found = [text for text in recording_warnings(open_recording(tmp_path, rig=rig)) if re.match("camera: [cf]x", text)]
+    assert [text.startswith(f"camera: {said}") for text in found] == ([True] if said else [])
+
+
+def test_intrinsics_that_the_reader_doubts_are_doubted_once(tmp_path):
+    write_redwood(tmp_path, [np.eye(4)] * 2, PinholeIntrinsics(64, 48, 60.0, 60.0, 23.5, 31.5))
+    recording = open_recording(tmp_path)
+    assert "look exchanged" in recording.notes[0]
+    assert not any("exchanged" in text or "middle" in text for text in recording_warnings(recording))
 
 
 def test_disparity_is_no_depth(frames):

@@ -36,6 +36,7 @@ from adagmm_fusion.formats.camera_fields import (
 )
 from adagmm_fusion.formats.options import intrinsics_from_matrix
 from adagmm_fusion.formats.text_table import with_decimal_points
+from adagmm_fusion.frames.intrinsics_checks import LOOK_EXCHANGED, look_exchanged
 from adagmm_fusion.frames.rgbd import DISTORTION_LENGTHS, PinholeIntrinsics
 from adagmm_fusion.rigs.depth_units import depth_scale_of
 from adagmm_fusion.rigs.importing import (
@@ -65,8 +66,7 @@ FEW_VALUES = "a 3x3 or 4x4 matrix or fx fy cx cy"
 EXPECTED = f"{FEW_VALUES}, or width height fx fy cx cy, or names (fx, fy, cx, cy) with their values"
 # A principal point further from the middle than these shares of the image is rather that of another image size.
 NEAR_MIDDLE = (0.35, 0.65)
-# Where both of cx and cy are off by more than this share of the image, and neither would be if exchanged, they are.
-EXCHANGED = 0.1
+OTHER_SIZE = "look like those of another image size"
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,12 +98,9 @@ class CameraFile:
         from the image's middle, or None."""
         width, height = self._size(sizes)
         fx, fy, cx, cy = (float(self.K[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
-        off, exchanged = (
-            (abs(x / width - 0.5) > EXCHANGED, abs(y / height - 0.5) > EXCHANGED) for x, y in ((cx, cy), (cy, cx))
-        )
-        if all(off) and not any(exchanged):
+        if look_exchanged(width, height, cx, cy):
             return (
-                f"{self.path.name}: cx {cx:g} cy {cy:g} look exchanged, for images of {width}x{height}; "
+                f"{self.path.name}: cx {cx:g} cy {cy:g} {LOOK_EXCHANGED}, for images of {width}x{height}; "
                 "if they are, exchange them in the file"
             )
         if self.size is not None:
@@ -112,7 +109,7 @@ class CameraFile:
         if low <= cx / width <= high and low <= cy / height <= high:
             return None
         return (
-            f"{self.path.name}: fx {fx:g} fy {fy:g} cx {cx:g} cy {cy:g} look like those of another image size than "
+            f"{self.path.name}: fx {fx:g} fy {fy:g} cx {cx:g} cy {cy:g} {OTHER_SIZE} than "
             f"{width}x{height}; say which, as width and height in intrinsics.json"
         )
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from adagmm_fusion.formats.camera_files import OTHER_SIZE
 from adagmm_fusion.frames.depth_checks import (
     NOT_BEYOND_M,
     UNIT_MISTAKES,
@@ -17,6 +18,7 @@ from adagmm_fusion.frames.depth_checks import (
     nearer_than_cameras_see,
     unit_mistake,
 )
+from adagmm_fusion.frames.intrinsics_checks import LOOK_EXCHANGED, pixels_doubt, principal_point_doubt
 from adagmm_fusion.frames.pose_readings import AGREEMENT_M, agreeing_share, clearly_better, sampled_points
 from adagmm_fusion.frames.rgbd import RGBDFrame, RGBDPair
 from adagmm_fusion.pairs.mirrored import looks_mirrored
@@ -42,7 +44,7 @@ def recording_warnings(recording: Recording) -> tuple[str, ...]:
     for sensor in recording.sensors:
         own = [entry for entry in recording.entries if entry.sensor == sensor]
         frames = list(_loaded([own[i].load for i in _spread(len(own), FRAMES)]))
-        found = sensor_warnings(frames)
+        found = [*sensor_warnings(frames), *_intrinsics_warnings(recording, frames)]
         warnings += [f"{sensor}: {text}" for text in found]
         if not any(text.startswith(DEPTH_LOOKS) for text in found) and (text := _near_warning(frames)) is not None:
             near.append(f"{sensor}: {text}")
@@ -94,6 +96,14 @@ def sensor_warnings(frames: Sequence[RGBDFrame]) -> list[str]:
             f"{offset.down_px:+d} px down); register the depth to the colour"
         )
     return warnings
+
+
+def _intrinsics_warnings(recording: Recording, frames: Sequence[RGBDFrame]) -> list[str]:
+    """What looks wrong in a sensor's intrinsics, unless the reader has said what they rather are."""
+    said = any(text in note for note in recording.notes for text in (LOOK_EXCHANGED, OTHER_SIZE))
+    checks = (pixels_doubt,) if said else (principal_point_doubt, pixels_doubt)
+    doubts = ((check(frame.intrinsics) for frame in frames) for check in checks)
+    return [doubt for each in doubts if (doubt := next(filter(None, each), None)) is not None]
 
 
 def _frozen_warning(entries: Sequence[FrameEntry]) -> str | None:

@@ -2,8 +2,8 @@
 
 from adagmm_fusion.frames.rgbd import PinholeIntrinsics
 
-# A principal point further from the middle than this share of the image is doubted: a RealSense F200 and a Kinect v1 have
-# it 3.3 % off, and undistorted images of 739x458 that were cut to what all of them show 9.2 %.
+# A principal point further from the middle than this share of the image is doubted: a RealSense F200 and a Kinect v1
+# have it 3.3 % off, and undistorted images of 739x458 9.2 %.
 OFF_MIDDLE = 0.095
 # The depth images of the Azure Kinect's narrow view are a part of its 1024 x 1024, from the row 180 on.
 AZURE_MIDDLES = {(640, 576): (319.5, 331.5), (320, 288): (159.5, 165.5)}

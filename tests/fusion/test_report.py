@@ -13,6 +13,7 @@ from shared_data import ROOT
 from adagmm_fusion.errors import OutputError
 from adagmm_fusion.meshes.orientation import upright
 from adagmm_fusion.pairs.fusion import RigEstimate, fused_cloud, mean_pose, save_cloud
+from adagmm_fusion.pairs.moved_sensors import moved_sensors_notes
 from adagmm_fusion.pairs.pipeline import register_pair
 from adagmm_fusion.pairs.record import PairRecord, pair_record
 from adagmm_fusion.pairs.report import Report, as_json, markdown, terminal_table, write_report
@@ -23,6 +24,7 @@ from adagmm_fusion.recordings.opening import open_recording
 from adagmm_fusion.rigs.rig import load_rig, save_rig
 from adagmm_o3d.lie import so_exp
 
+SHIPPED = ROOT / "recordings" / "two_kinects"
 SETTINGS = Settings(target_points=1200, device="cpu")
 GOOD = PairRecord(
     pair="a_to_b",
@@ -67,7 +69,7 @@ def report(*records: PairRecord, **more) -> Report:
 
 @pytest.fixture(scope="module")
 def outcome():
-    return register_pair(open_recording(ROOT / "recordings" / "two_kinects")[0], SETTINGS)
+    return register_pair(open_recording(SHIPPED)[0], SETTINGS)
 
 
 def test_the_headline_counts_failures_and_takes_medians_over_all():
@@ -257,3 +259,45 @@ def test_poses_in_another_unit_than_the_depth_are_said_to_be():
 )
 def test_poses_that_may_be_in_the_depths_unit_are_not(records):
     assert scaled_ways_notes(records) == []
+
+
+def turned(index: int, turn_deg: float, way_m: float = 0.0, **more) -> PairRecord:
+    """Registered so far from where the shipped rig has the sensor."""
+    true, off = open_recording(SHIPPED).pairs[index].T_target_source, np.eye(4)
+    off[:3, :3], off[:3, 3] = so_exp((0.0, np.radians(turn_deg), 0.0)), (way_m, 0.0, 0.0)
+    values = {"index": index, "T_target_source": (true @ off).tolist(), "T_target_source_truth": true.tolist()}
+    return replace(GOOD, **(values | {"trustworthy": True} | more))
+
+
+def test_pairs_that_differ_alike_from_the_rig_are_said_to():
+    recording = open_recording(SHIPPED)
+    records = [turned(i, turn, 0.06) for i, turn in enumerate((2.6, 2.7, 2.8))]
+    (note,) = moved_sensors_notes(records, recording)
+    assert note == (
+        "all 3 pairs of right and left differ from their given pose by the same 2.7° and 60 mm, 18 times the "
+        "deviation: has a sensor moved since? see verify"
+    )
+    assert moved_sensors_notes(records, recording, ["the pose of right to left looks like its inverse"]) == []
+    records[2] = replace(records[2], trustworthy=False)
+    assert moved_sensors_notes(records, recording)[0].startswith("2 of 3 pairs of right and left differ")
+    (note,) = moved_sensors_notes([turned(i, 0.0, 0.15) for i in range(2)], recording)
+    assert "by the same 0.0° and 150 mm, 7 times" in note
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        [(2.7,)],
+        [(2.7,), (-2.7,), (2.7,)],
+        [(2.7,), (1.5,), (2.7,)],
+        [(0.4,)] * 3,
+        [(0.6,)] * 3,
+        [(0.0, 0.06)] * 3,
+        [(0.0, 0.0)] * 3,
+    ],
+)
+def test_pairs_that_differ_little_or_otherwise_each_are_not(changes):
+    records = [turned(i, *change) for i, change in enumerate(changes)]
+    assert moved_sensors_notes(records, open_recording(SHIPPED)) == []
+    unknown = [turned(i, 2.7, rotation_deviation_deg=None) for i in range(3)]
+    assert moved_sensors_notes([*unknown, BROKEN], open_recording(SHIPPED)) == []

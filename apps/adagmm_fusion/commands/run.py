@@ -23,6 +23,7 @@ from adagmm_fusion.files.stale_results import (
 from adagmm_fusion.frames.rgbd import RGBDPair
 from adagmm_fusion.meshes.textured_mesh import TexturedMesh, save_textured_mesh
 from adagmm_fusion.pairs.fusion import RigEstimate, fused_cloud, fused_mesh, save_cloud
+from adagmm_fusion.pairs.moved_sensors import moved_sensors_notes
 from adagmm_fusion.pairs.pipeline import PairOutcome, compile_kernels, run_pairs
 from adagmm_fusion.pairs.plausibility import recording_warnings
 from adagmm_fusion.pairs.record import PairRecord, pair_record
@@ -125,6 +126,7 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
         rig = rig_estimate.rig(f"{recording.path.resolve().name}_estimated")
         if rig is not None:
             results["estimated rig"] = "rig.yaml"
+        scaled = scaled_ways_notes(records, notes)
         report = Report(
             recording=recording.name,
             path=str(args.recording),
@@ -135,7 +137,7 @@ def run(args: argparse.Namespace, settings: Settings) -> int:
             pairs_asked=len(indices),
             records=records,
             interrupted=stopped is not None,
-            notes=(*notes, *scaled_ways_notes(records, notes)),
+            notes=(*notes, *scaled, *moved_sensors_notes(records, recording, (*notes, *scaled))),
             results=results,
         )
         paths = write_report(folder, report)

@@ -29,8 +29,8 @@ SIGMA_FLOOR = 2.5e-4
 # How often the scatter of a cell counts. A uniform one then has a standard deviation of 0.58 edges.
 OVERLAP = 4.0
 # A cell counts for so many points at most; fewer may be one stray point. Where more count, what is near a LiDAR, its
-# rings with it, counts more, and pulls back along the way: by 0.6 mm a metre with two points, by 0.9 mm with four. Where
-# fewer do, noisy beams are averaged less: scans of these end a third farther off.
+# rings with it, counts more, and pulls back along the way: by 0.6 mm a metre with two points, by 0.9 mm with four.
+# Where fewer do, noisy beams are averaged less: scans of these end a third farther off.
 FULL = 4.0
 # The last σ of a dense cloud, in squared edges and times how much more its components vary along their widest axis than
 # all around: surfaces of covariances like those of GICP are then one edge wide. Below, a LiDAR's rings, which lie

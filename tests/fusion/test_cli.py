@@ -1,10 +1,13 @@
 """The command line: exit codes, one-line errors, results where they should be, and what an interruption leaves."""
 
 import json
+import math
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
+import numpy as np
 import open3d as o3d
 import pytest
 from shared_data import ROOT
@@ -14,8 +17,9 @@ import adagmm_fusion.commands.run
 from adagmm_fusion.cli import main
 from adagmm_fusion.commands.run import selected_pairs, verdict
 from adagmm_fusion.recordings.opening import open_recording
-from adagmm_fusion.rigs.rig import load_rig
+from adagmm_fusion.rigs.rig import load_rig, save_rig
 from adagmm_o3d.errors import InputError
+from adagmm_o3d.lie import so_exp
 
 SHIPPED = str(ROOT / "recordings" / "two_kinects")
 QUICK = ["--target-points", "2000", "--device", "cpu"]
@@ -128,6 +132,18 @@ def test_some_failed_pairs_are_an_error_where_that_is_asked_for(tmp_path, capsys
     assert "1 of 2 pairs registered" in capsys.readouterr().out
     many = ["run", str(recording.parent), "--no-rerun", "--no-clouds", "--workers", "1", *QUICK]
     assert main([*many, "--output", str(tmp_path / "many"), "--strict"]) == 5
+
+
+@pytest.mark.slow
+def test_a_rig_that_has_changed_since_it_was_calibrated_is_said(tmp_path, capsys):
+    rig = load_rig(ROOT / "calibration" / "two_kinects.yaml")
+    turned = np.array(rig.sensors["right"].T_rig_sensor)
+    turned[:3, :3] = turned[:3, :3] @ so_exp((0.0, math.radians(2.7), 0.0))
+    right = replace(rig.sensors["right"], T_rig_sensor=turned)
+    save_rig(tmp_path / "stale.yaml", replace(rig, sensors=rig.sensors | {"right": right}))
+    arguments = ["run", SHIPPED, "--calibration", str(tmp_path / "stale.yaml"), "--no-rerun", "--no-clouds", *QUICK]
+    assert main([*arguments, "--pairs", "0,1", "--output", str(tmp_path / "out")]) == 0
+    assert "note: all 2 pairs of right and left differ from their given pose by the same 2.7" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -102,7 +102,7 @@ def estimate_surface_covariances(
         edge = even_edge(p)
         if edge is None:
             found, along_line = _estimate_normals(p, neighbors, np.arange(len(p)))
-            if not SCAN_LINES[0] <= len(p) <= SCAN_LINES[1] or along_line.mean() <= LINED:
+            if not (_may_be_scan(p) and along_line.mean() > LINED):
                 return _plane_covariances(found, thickness)
             edge = widest_edge(p)
         return _cell_covariances(p, edge, neighbors, thickness)
@@ -148,10 +148,8 @@ def stand_in_covariances(
     usable: NDArray[np.bool_] = np.zeros(len(points), bool)
     if normals is not None:
         usable = np.asarray(np.isfinite(normals).all(axis=1) & normals.any(axis=1))
-    if normals is None or not usable.any():
+    if normals is None or not usable.any() or _are_scan_lines(points):
         check_count(name, *points.shape)
-        return estimate_surface_covariances(points, epsilon=epsilon)
-    if _are_scan_lines(points):
         return estimate_surface_covariances(points, epsilon=epsilon)
     n = np.zeros(points.shape)
     n[usable] = unit_vectors("normals", normals[usable], ("N", points.shape[1]))
@@ -173,9 +171,14 @@ def scan_covariances(points: Array) -> Array | None:
     return stand_in_covariances(points) if even_edge(measured) is not None or _are_scan_lines(measured) else None
 
 
+def _may_be_scan(points: Array) -> bool:
+    """Whether (N, D) points are as many as those of a LiDAR of few beams."""
+    return points.shape[1] == 3 and SCAN_LINES[0] <= len(points) <= SCAN_LINES[1]
+
+
 def _are_scan_lines(points: Array) -> bool:
-    """Whether (N, D) finite points are on lines, as those of a LiDAR of few beams are, from a few of them."""
-    if points.shape[1] == 2 or not SCAN_LINES[0] <= len(points) <= SCAN_LINES[1]:
+    """Whether (N, D) finite points are on lines, as those of a LiDAR of few beams are, by a few of them."""
+    if not _may_be_scan(points):
         return False
     return bool(_estimate_normals(points, KNN, some_of(np.arange(len(points)), PROBES))[1].mean() > LINED)
 

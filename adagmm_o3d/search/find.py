@@ -63,10 +63,12 @@ FRESH_UNMATCHED = 0.5
 
 @dataclass(frozen=True)
 class Found:
-    """The end to refine, and whether another, clearly different one explains the clouds as well."""
+    """The end to refine, and whether another, clearly different one explains the clouds as well; or whether it is
+    certain: the same points were sampled."""
 
     end: End
     ambiguous: bool
+    certain: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +131,7 @@ def find(
     if not everywhere:
         first = first_end(levels, [starts.wide(base) for base in bases])
         if is_tight(levels, first[1]):
-            return Found(first[1], False)
+            return Found(first[1], False, certain=True)
     sharp = levels.source.dimension == 3 and judge().sharp
     pool = _judged(judge(), [first[1]]) if sharp and first is not None else []
     # Nothing that features propose does better than a certain end.

@@ -15,7 +15,7 @@ from adagmm_o3d.arguments import Array
 from adagmm_o3d.em.expectation import AdaptiveExpectation
 from adagmm_o3d.em.loop import Outcome, expectation_maximisation
 from adagmm_o3d.em.m_step import ANY_AXIS, turned_about
-from adagmm_o3d.em.runs import End, inverse_end, inverse_of
+from adagmm_o3d.em.runs import End, inverse_end, inverse_of, pose_distance
 from adagmm_o3d.em.sigma_rules import Annealed, FigureTwo, NearestDistance, SigmaRule
 from adagmm_o3d.errors import InputError
 from adagmm_o3d.lie import project_to_rotation, se_exp, se_log, split
@@ -28,11 +28,13 @@ from adagmm_o3d.result import Deferred, Iteration, PointRegistrationResult, Pose
 from adagmm_o3d.search.find import find
 from adagmm_o3d.search.levels import Levels
 from adagmm_o3d.search.refinement import refine
+from adagmm_o3d.search.rotations import APART_AMBIGUOUS
 from adagmm_o3d.search.schedule import SCHEDULE
+from adagmm_o3d.search.staying import fit_to_stay_at
 from adagmm_o3d.trust import verdict
 from adagmm_o3d.trust.color_support import color_support
 from adagmm_o3d.trust.conclusion import Answers, conclude, lower
-from adagmm_o3d.trust.judge import JUDGED, Judge
+from adagmm_o3d.trust.judge import JUDGED, Judge, holds
 from adagmm_o3d.trust.partners import no_partners, partners_at
 from adagmm_o3d.trust.pose_covariance import Fit, uncertainty_out
 from adagmm_o3d.trust.upright import held_by_gravity
@@ -152,10 +154,12 @@ def _by_posteriors(task: _Task) -> _Ended:
     identity, given = normalisation.pose_in(np.eye(4)), task.given
     if given is not None and np.allclose(given, identity, rtol=0, atol=1e-9):
         given = None
+    given_there = inverse_of(given) if turned and given is not None else given
+    identity_there = None if method.start == "centroids" else inverse_of(identity) if turned else identity
     found = find(
         searched,
-        given=inverse_of(given) if turned and given is not None else given,
-        identity=None if method.start == "centroids" else inverse_of(identity) if turned else identity,
+        given=given_there,
+        identity=identity_there,
         centroids=method.start != "init",
         everywhere=task.everywhere,
         search=method.search,
@@ -185,19 +189,52 @@ def _by_posteriors(task: _Task) -> _Ended:
         relaxation=method.relaxation,
         observe=observe,
     )
-    outcome, start = refined.outcome, best.start
+    outcome, start, fit, ambiguous = refined.outcome, best.start, refined.fit, found.ambiguous
+    forward = inverted == turned
+    at = outcome.pose if forward else inverse_of(outcome.pose)
+    if not found.certain and outcome.stop_reason is not StopReason.NO_OVERLAP:
+        stayed = _stayed(task, judge, searched, given_there, identity_there, at)
+        if stayed is not None:
+            rivalled = pose_distance(stayed, at) > APART_AMBIGUOUS and holds(judge().held(at))
+            ambiguous, at = ambiguous or rivalled, stayed
+            outcome = _moved_to(outcome, stayed if forward else inverse_of(stayed), task.limits, observe)
+            fit = replace(fit, pose=outcome.pose)
     assess: Callable[[], PoseUncertainty] = _unknown
     weigh: Callable[[], Verdict | None] = _none
     if outcome.stop_reason is not StopReason.NO_OVERLAP:
         mixtures = refined.pairs, refined.source, refined.target
-        assess = partial(uncertainty_out, *mixtures, refined.fit, normalisation, inverse=inverted)
+        assess = partial(uncertainty_out, *mixtures, fit, normalisation, inverse=inverted)
         if method.gravity is not None:
             assess = partial(_assess_upright, assess, task.axis)
-        pose = outcome.pose if inverted == turned else inverse_of(outcome.pose)
-        weigh = partial(_weigh, judge, pose, turned, _gravity(task))
+        weigh = partial(_weigh, judge, at, turned, _gravity(task))
     if inverted:
         outcome, start = _inverse_outcome(outcome), inverse_of(start)
-    return _Ended(start, outcome, weigh, assess, found.ambiguous, refined.fit)
+    return _Ended(start, outcome, weigh, assess, ambiguous, fit)
+
+
+def _stayed(
+    task: _Task, judge: Deferred[Judge], searched: Levels, given: Array | None, identity: Array | None, end: Array
+) -> Array | None:
+    """(4, 4) where the start stays rather than go to `end`, all of it as the search has it; None where it does not.
+
+    What else speaks, colours or gravity, is not asked there.
+    """
+    start = identity if given is None else given
+    if start is None or task.everywhere or task.axis.any() or task.moving.colours is not None:
+        return None
+    if task.moving.dimension == 2 or not judge().sharp or judge().too_few:
+        return None
+    return fit_to_stay_at(judge(), searched.source, searched.target, start, end, vouched=given is not None)
+
+
+def _moved_to(outcome: Outcome, pose: Array, limits: Criteria, observe: Callable[[Iteration], None] | None) -> Outcome:
+    """The outcome with a last iteration that ends at a pose (4, 4), or its last one doing so where no more may be."""
+    last = outcome.iterations[-1]._replace(pose=pose)
+    if len(outcome.iterations) >= limits.max_iteration:
+        return replace(outcome, pose=pose, iterations=(*outcome.iterations[:-1], last))
+    if observe is not None:
+        observe(last)
+    return replace(outcome, pose=pose, iterations=(*outcome.iterations, last))
 
 
 def _by_the_papers_weights(task: _Task) -> _Ended:

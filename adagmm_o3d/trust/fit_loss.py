@@ -13,7 +13,7 @@ from adagmm_o3d.arguments import Array
 from adagmm_o3d.grouping import block_numbers
 from adagmm_o3d.mixtures.merging import FLAGGED
 from adagmm_o3d.mixtures.mixture import Mixture
-from adagmm_o3d.sampling import some_of
+from adagmm_o3d.sampling import distinct_places, some_of
 from adagmm_o3d.trust.agreement import NEAR, NEIGHBORS, Surface, typical_off
 
 # The edge of the cells that count once, in radii: what is off in one is off as one.
@@ -62,5 +62,6 @@ class FitLoss:
 def some_surface(mixture: Mixture) -> Surface | None:
     """That of some of its points; None of too few to have one."""
     certain = some_of(np.flatnonzero(mixture.variances <= FLAGGED), ASKED)
-    enough = len(certain) > NEIGHBORS[mixture.dimension]
-    return Surface(mixture.points_at(certain), mixture.dimension) if enough else None
+    points = mixture.points_at(certain)
+    points = points[np.sort(distinct_places(points))]
+    return Surface(points, mixture.dimension) if len(points) > NEIGHBORS[mixture.dimension] else None

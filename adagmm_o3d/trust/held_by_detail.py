@@ -41,8 +41,6 @@ def free_of_detail(source: Mixture, target: Mixture, pose: Array, free: Array) -
     if own is None or other is None:
         return free
     fit = FitLoss(own, other, pose)
-    if not fit.known.any():
-        return free
 
     def loss(motion: Array) -> float:
         twist = np.zeros(6)
